@@ -33,6 +33,14 @@ def _backend_by_size() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _few_replicates() -> Iterator[None]:
+    """Predictive checks of populations simulate few data sets: they are seldom what is tested."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.training.population.results.REPLICATES", 20)
+        yield
+
+
 @pytest.fixture(scope="session")
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the kernels that the tests compile, shared by the processes that run them."""

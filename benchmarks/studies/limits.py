@@ -251,9 +251,10 @@ TEXT = f"""# Limits: what is read, and what oversized inputs cost
 |---|---:|
 @LIMITS@
 
-Not offered yet, and said so: constants that differ between groups of another column than the trajectory
-(GB421), noises with constants of single trajectories (GB425), values of single trajectories without a
-distribution beside others with one (GB426), profiles of models with populations (GB777).
+Not offered yet, and said so: groups of a column without a distribution (GB421), in `correlate` (GB434), in
+simulations (GB786), and columns that change within a trajectory (GB719); noises with constants of single trajectories
+(GB425), values of single trajectories without a distribution beside others with one (GB426), profiles of models with
+populations (GB777), censored values under `noise student` (GB785).
 
 Not offered for infusions (`dose … over`): durations and lags that are learned (GB427, GB428), elements of arrays
 (GB429), measured rates of the infused state (GB430). A dose in a steady state is preceded by a number of doses, not

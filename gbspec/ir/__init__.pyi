@@ -16,7 +16,9 @@ from .derivatives import ordered as ordered
 from .derivatives import partials as partials
 from .distributions import PREDICTION as PREDICTION
 from .distributions import Distribution as Distribution
+from .distributions import Level as Level
 from .distributions import Noise as Noise
+from .distributions import NoiseKind as NoiseKind
 from .distributions import Spread as Spread
 from .dumping import dump as dump
 from .dumping import guarantee as guarantee

@@ -11,8 +11,20 @@ Expr: TypeAlias = sympy.Expr
 
 Spread = Literal["lognormal", "normal", "logitnormal", "standard"]
 
+NoiseKind = Literal["normal", "lognormal", "student"]
+
 PREDICTION = sympy.Symbol("prediction of the channel", real=True)
 """The prediction in the expression of a noise; not a name that a model can declare."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A further deviation, which all trajectories with the same value of the condition `column` share: `spread` is the
+    name of a learnable, or among `Model.implied`; without it the spread is the number `fixed`."""
+
+    column: str
+    spread: str | None = None
+    fixed: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -22,29 +34,43 @@ class Distribution:
     With a standard normal number e and the spread s: `lognormal` median*exp(s*e), `normal` median + s*e, `logitnormal`
     the value within the range whose logit is that of the median plus s*e, `standard` e itself (no median, no spread).
     `median` is the name of the median among `Model.implied`; `spread` that of a learnable, or among `Model.implied`;
-    without it the spread is the number `fixed`.
+    without it the spread is the number `fixed`. The deviations of `levels` are added to s*e; a constant that differs
+    between groups alone has the spread 0 between trajectories.
     """
 
     kind: Spread
     median: str = ""
     spread: str | None = None
     fixed: float = 1.0
+    levels: tuple[Level, ...] = ()
+
+    @property
+    def spreads(self) -> tuple[tuple[str | None, float], ...]:
+        """The name of each spread (None: fixed) with its fixed number, that between trajectories first."""
+        return (self.spread, self.fixed), *((level.spread, level.fixed) for level in self.levels)
 
 
 @dataclass(frozen=True)
 class Noise:
-    """`normal(sd)` in the channel's unit, or `lognormal(cv)`.
+    """`normal(sd)` or `student(scale, df)` in the channel's unit, or `lognormal(cv)`.
 
-    If the scale is learned, `value` is its expression in learnables and PREDICTION, and `scale` not a number.
+    If the scale is learned, `value` is its expression in learnables and PREDICTION, and `scale` not a number. Under
+    `student` it always is: such a channel has a likelihood and no sum of squares. `freedom` is the expression of its
+    degrees of freedom, in learnables.
     """
 
-    kind: Literal["normal", "lognormal"]
+    kind: NoiseKind
     scale: float = field(hash=False)
     value: Expr | None = None
+    freedom: Expr | None = None
 
     def __eq__(self, other: object) -> bool:
         """NaN, the scale of a learned noise, differs from itself, and Python 3.13 compares field by field."""
         if not isinstance(other, Noise):
             return NotImplemented
         same = self.value is not None or self.scale == other.scale
-        return same and (self.kind, self.value) == (other.kind, other.value)
+        return same and (self.kind, self.value, self.freedom) == (
+            other.kind,
+            other.value,
+            other.freedom,
+        )

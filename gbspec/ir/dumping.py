@@ -9,7 +9,7 @@ from sympy.printing.str import StrPrinter
 
 from gbspec.ir.algebra import EquationBlock
 from gbspec.ir.arrays import Family, StateArray
-from gbspec.ir.distributions import Distribution, Noise
+from gbspec.ir.distributions import Distribution, Level, Noise
 from gbspec.ir.events import Event, Timing
 from gbspec.ir.model import NN, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
 
@@ -203,7 +203,12 @@ def _block(block: EquationBlock) -> str:
 
 
 def _distribution(found: Distribution) -> str:
-    return f" ~ {found.kind}({found.spread if found.spread is not None else repr(found.fixed)})"
+    own = f" ~ {found.kind}({_spread(found)})" if found.spread is not None or found.fixed or not found.levels else ""
+    return own + "".join(f" per {level.column} ~ {found.kind}({_spread(level)})" for level in found.levels)
+
+
+def _spread(of: Distribution | Level) -> str:
+    return of.spread if of.spread is not None else repr(of.fixed)
 
 
 def _dose(dose: Dose) -> str:
@@ -223,7 +228,8 @@ def _event(event: Event) -> str:
 
 
 def _scale(noise: Noise) -> str:
-    return repr(noise.scale) if noise.value is None else written(noise.value)
+    scale = repr(noise.scale) if noise.value is None else written(noise.value)
+    return scale if noise.freedom is None else f"{scale}, {written(noise.freedom)}"
 
 
 def _array(array: StateArray) -> Iterable[str]:

@@ -69,7 +69,8 @@ def refuse_together(model: ir.Model, findings: Findings) -> None:
     for channel in model.channels:
         if channel.noise is not None and channel.noise.value is not None:
             help = "leave out the noise: its standard deviation is then learned, or leave out the diffusions"
-            _together(f"the noise of `{channel.name}` holds learned constants", channel.span, help, findings)
+            why = "is Student's" if channel.noise.kind == "student" else "holds learned constants"
+            _together(f"the noise of `{channel.name}` {why}", channel.span, help, findings)
 
 
 def _together(what: str, place: Span | None, help: str, findings: Findings) -> None:

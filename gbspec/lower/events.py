@@ -137,5 +137,7 @@ def _refuse_together(model: Model, findings: Findings) -> None:
             findings.error("GB351", message, learnable.span, help=help)
     for channel in model.channels:
         if channel.noise is not None and channel.noise.value is not None:
-            message = f"the noise of `{channel.name}` holds learned constants, which events do not offer yet"
-            findings.error("GB351", message, channel.span, help="give it a number, or leave out the events")
+            why = "is Student's" if channel.noise.kind == "student" else "holds learned constants"
+            message = f"the noise of `{channel.name}` {why}, which events do not offer yet"
+            help = "write `noise normal(…)` with a number, or leave out the events"
+            findings.error("GB351", message, channel.span, help=help)

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
-from gbspec.ir import Distribution, Noise, Spread
+from gbspec.ir import Distribution, Level, Noise, Spread
 from gbspec.ir import model as ir
-from gbspec.semantics import Checked
+from gbspec.semantics import GROUPS, Checked
 from gbspec.syntax import ast
 
 SPREAD = 0.3
@@ -18,17 +18,31 @@ SPREAD = 0.3
 
 def distribution(statement: ast.LearnStatement, checked: Checked) -> Distribution | None:
     """The distribution that a statement gives to its constant."""
-    spread = statement.per.spread if statement.per is not None else None
-    if spread is None:
+    name, levels, kind = statement.name.text, [], ""
+    between: tuple[str | None, float] = (None, 0.0)
+    for grouping in statement.groupings:
+        if grouping.spread is None:
+            return None
+        kind, column = grouping.spread.kind.text, grouping.column.value
+        own = column in GROUPS
+        found = _spread_of(grouping.spread, name if own else f"{name}_{column}", checked)
+        if own:
+            between = found
+        else:
+            levels.append(Level(column, *found))
+    if not kind:
         return None
-    name, kind = statement.name.text, _KINDS[spread.kind.text]
-    median = implied_name("median", name, checked)
+    return Distribution(_KINDS[kind], implied_name("median", name, checked), *between, tuple(levels))
+
+
+def _spread_of(spread: ast.Distribution, name: str, checked: Checked) -> tuple[str | None, float]:
+    """The name of a spread, or the number that it is."""
     if not spread.arguments:
-        return Distribution(kind, median, implied_name("sd", name, checked))
+        return implied_name("sd", name, checked), 1.0
     value = checked.numbers.value(spread.arguments[0])
     if value is not None:
-        return Distribution(kind, median, None, value)
-    return Distribution(kind, median, next(iter(checked.numbers.sites[spread.arguments[0]].references.names)))
+        return None, value
+    return next(iter(checked.numbers.sites[spread.arguments[0]].references.names)), 1.0
 
 
 _KINDS: dict[str, Spread] = {"lognormal": "lognormal", "normal": "normal", "logitnormal": "logitnormal"}
@@ -40,10 +54,17 @@ def effect(statement: ast.EffectStatement, description: str) -> ir.Learnable:
         statement.name.text,
         0.0,
         per_trajectory=True,
-        distribution=Distribution("standard"),
+        distribution=_standard(statement.per.column.value),
         description=description,
         span=statement.name.span,
     )
+
+
+def _standard(column: str) -> Distribution:
+    """The distribution of an effect between trajectories, or between the groups of a column."""
+    if column in GROUPS:
+        return Distribution("standard")
+    return Distribution("standard", fixed=0.0, levels=(Level(column),))
 
 
 def implied_name(word: str, name: str, checked: Checked) -> str:
@@ -68,7 +89,18 @@ def completed(model: ir.Model, checked: Checked) -> ir.Model:
         *(_correlation(pair, checked) for group in groups for pair in combinations(group, 2)),
         *noises,
     ]
-    return replace(model, channels=channels, implied=tuple(implied), correlated=tuple(groups))
+    model = replace(model, channels=channels, implied=tuple(implied), correlated=tuple(groups))
+    return replace(model, conditions=(*model.conditions, *_columns(model)))
+
+
+def _columns(model: ir.Model) -> Iterable[ir.Condition]:
+    """The columns of groups that the model does not declare, as conditions of each trajectory."""
+    known = {condition.name for condition in model.conditions}
+    for learnable in model.distributed:
+        for level in learnable.distribution.levels if learnable.distribution is not None else ():
+            if level.column not in known:
+                known.add(level.column)
+                yield ir.Condition(level.column, description="a group of trajectories", span=learnable.span)
 
 
 def _medians(distributed: Iterable[ir.Learnable]) -> list[ir.Learnable]:
@@ -84,10 +116,13 @@ def _spreads(distributed: Iterable[ir.Learnable], known: set[str]) -> list[ir.Le
     found = []
     for learnable in distributed:
         made = learnable.distribution
-        if made is not None and made.spread is not None and made.spread not in known:
-            start = SPREAD if made.kind != "normal" else SPREAD * (abs(learnable.start) or 1.0)
-            unit = learnable.unit if made.kind == "normal" else None
-            found.append(ir.Learnable(made.spread, start, ir.Range(0.0, math.inf), unit=unit, span=learnable.span))
+        if made is None:
+            continue
+        for spread in (made.spread, *(level.spread for level in made.levels)):
+            if spread is not None and spread not in known:
+                start = SPREAD if made.kind != "normal" else SPREAD * (abs(learnable.start) or 1.0)
+                unit = learnable.unit if made.kind == "normal" else None
+                found.append(ir.Learnable(spread, start, ir.Range(0.0, math.inf), unit=unit, span=learnable.span))
     return found
 
 

@@ -14,7 +14,7 @@ import sympy
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import PREDICTION as PREDICTED
-from gbspec.ir import Expr, Noise, lookup, symbol, unknown_function
+from gbspec.ir import Expr, Noise, NoiseKind, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
 from gbspec.lower import algebraic, events, populations, steady, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
@@ -35,6 +35,8 @@ from gbspec.semantics import (
     truth_parameters,
 )
 from gbspec.syntax import PREDICTION, Kind, ast, target_name
+
+_NOISES: Mapping[str, NoiseKind] = {"normal": "normal", "lognormal": "lognormal", "student": "student"}
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
@@ -358,12 +360,12 @@ class _Lowering:
 
     def _noise(self, noise: ast.Distribution, name: str) -> Noise:
         """A noise: a number, or an expression that is learned."""
-        argument, kind = noise.arguments[0], "lognormal" if noise.kind.text == "lognormal" else "normal"
+        argument, kind = noise.arguments[0], _NOISES[noise.kind.text]
         value = self._fixed(argument, {PREDICTION: PREDICTED, name: PREDICTED})
+        if kind == "student":
+            return Noise(kind, math.nan, value, self._fixed(noise.arguments[1]))
         learned = {s for s in value.free_symbols if s == PREDICTED or self._table[s.name].kind is Kind.LEARN}
-        if not learned:
-            return Noise("lognormal" if kind == "lognormal" else "normal", self._number(argument) or 0.0)
-        return Noise("lognormal" if kind == "lognormal" else "normal", math.nan, value)
+        return Noise(kind, math.nan, value) if learned else Noise(kind, self._number(argument) or 0.0)
 
     def _dose(self, s: ast.DoseStatement) -> ir.Dose:
         fraction = self._fixed(s.fraction) if s.fraction is not None else sympy.S.One

@@ -22,6 +22,7 @@ _SPECIAL = {
     ("prior", "lognormal"): "lognormal(median, cv)",
     ("noise", "normal"): "normal(sd)",
     ("noise", "lognormal"): "lognormal(cv)",
+    ("noise", "student"): "student(scale, df)",
     ("by", "mlp"): "mlp(width, …, activation=silu)",
 }
 """Words that are called after a clause's keyword."""

@@ -20,7 +20,7 @@ CLAUSES: dict[str, str] = {
     "hold": "`outside hold`: beyond the points of a table the nearest value holds",
     "error": "`outside error`: beyond the points of a table there is no value",
     "prior": "prior knowledge about the constant: `normal(mean, sd)` or `lognormal(median, cv)`",
-    "noise": "the uncertainty of a measurement: `normal(sd)` or `lognormal(cv)` of numbers, learned constants, `y`",
+    "noise": "the noise of a measurement: `normal(sd)`, `lognormal(cv)` or `student(scale, df)`",
     "per": "`per trajectory`: each trajectory has its own value; `per trajectory ~ lognormal`: with a distribution",
     "trajectory": "`per trajectory`: each trajectory has its own value, with or without a distribution",
     "rate": "the rate of a process, or of a claim",

@@ -37,7 +37,8 @@ class Ratio:
     freedom: int
     p: float
     boundary: bool
-    """Whether the smaller model has a spread of 0, at the edge of what is possible: p is then too large."""
+    """Whether the smaller model has a spread of 0, or a normal noise where the larger has Student's, at the edge of
+    what is possible: p is then too large."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Comparison:
         ]  # fmt: skip
         parts = [table(["run", "-2 log L", "parameters", "AIC", "BIC", "AIC above the least"], rows)]
         for one in self.tests:
-            edge = " (a spread of 0 is at the edge of what is possible: p is too large)" if one.boundary else ""
+            edge = " (the smaller model is at the edge of what is possible: p is too large)" if one.boundary else ""
             parts.append(
                 f"{one.larger} against {one.smaller}: -2 log L falls by {one.fall:.3f} for {one.freedom} further "
                 f"parameter{'s' if one.freedom > 1 else ''}, p = {one.p:.3g}{edge}"
@@ -81,7 +82,8 @@ class Comparison:
 def compare(runs: Sequence[Run]) -> Comparison:
     """Compares runs of the same data.
 
-    Raises UserError (GB775) if the data differ, or a run was not fitted by the marginal likelihood.
+    Raises UserError (GB775) if the data or the columns of which the models speak differ, or a run was not fitted by the
+    marginal likelihood.
     """
     found: list[tuple[Run, Compared]] = []
     for run in runs:
@@ -95,6 +97,10 @@ def compare(runs: Sequence[Run]) -> Comparison:
         if run.fit.data.sha256 != runs[0].fit.data.sha256:
             message = f"`{run.path}` and `{runs[0].path}` were fitted to different data"
             raise UserError([Diagnostic("GB775", message, None, help="fit both models to the same table")])
+        if _measured(run) != _measured(runs[0]):
+            message = f"`{run.path}` and `{runs[0].path}` do not observe the same columns of the table"
+            help_text = "likelihoods are compared of the same measured values"
+            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
         found.append((run, _compared(run, population)))
     ways = {run.fit.population.nodes for run, _ in found if run.fit.population is not None}
     if len(ways) > 1:
@@ -102,6 +108,11 @@ def compare(runs: Sequence[Run]) -> Comparison:
         raise UserError([Diagnostic("GB775", message, None, help="fit all of them with the same `--quadrature`")])
     tests = [test for first, second in combinations(found, 2) if (test := _ratio(first, second)) is not None]
     return Comparison(tuple(one for _, one in found), tuple(tests), _differences(found))
+
+
+def _measured(run: Run) -> frozenset[str]:
+    """The columns of the table that a run's model observes."""
+    return frozenset(channel.column for channel in run.model.channels)
 
 
 def _compared(run: Run, population: PopulationRecord) -> Compared:
@@ -135,8 +146,15 @@ def _ratio(first: tuple[Run, Compared], second: tuple[Run, Compared]) -> Ratio |
     (small, less), (large, more) = (first, second) if a < b else (second, first)
     fall, freedom = less.minus2ll - more.minus2ll, abs(len(a) - len(b))
     p = float(gammaincc(freedom / 2, max(fall, 0.0) / 2))
-    spreads = [{k.name for k in run.model.distributed} for run in (small, large)]
-    return Ratio(less.run, more.run, fall, freedom, p, spreads[0] != spreads[1])
+    edges = [(_deviations(run), [c.noise and c.noise.kind for c in run.model.channels]) for run in (small, large)]
+    return Ratio(less.run, more.run, fall, freedom, p, edges[0] != edges[1])
+
+
+def _deviations(run: Run) -> set[tuple[str, str]]:
+    """The constants that differ, with the columns between whose values they do."""
+    each = [(k.name, k.distribution) for k in run.model.distributed if k.distribution is not None]
+    found = {(name, "trajectory") for name, made in each if made.spread is not None or made.fixed}
+    return found | {(name, level.column) for name, made in each for level in made.levels}
 
 
 def _same_equations(first: Run, second: Run) -> bool:

@@ -118,6 +118,17 @@ KINDS = (
         also=("cwres",),
         optional=True,
     ),
+    Kind(
+        "prediction-errors",
+        "normalised prediction distribution errors of a population",
+        f"{_HERE}.prediction_errors",
+        heading="Prediction distribution errors",
+        note="Where each measurement lies among simulated ones, after the values of its trajectory have been "
+        "decorrelated, as a standard normal number. p is that of their being standard normal; a small one means that "
+        "distributions, noise or structure are not right.",
+        also=("npde",),
+        optional=True,
+    ),
     Kind("history", "the loss and the constants over the training", f"{_HERE}.history", heading="Training"),
     Kind(
         "innovations",

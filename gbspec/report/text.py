@@ -199,7 +199,12 @@ def population_lines(run: Run) -> list[str]:
         if b not in list(found.correlations)[: i + 1]
     ]
     noises = [f"noise of {name}: {number(value)}" for name, value in run.fit.noise.items()]
-    return [*lines, "\n".join([said, *pairs, *noises])]
+    errors = [
+        f"prediction errors of {name}: mean {one.mean:.3f}, variance {one.variance:.3f}, "
+        f"p = {one.p:.2g} of being standard normal"
+        for name, one in found.npde.items()
+    ]
+    return [*lines, "\n".join([said, *pairs, *noises, *errors])]
 
 
 def interval_of(profile: ProfileRecord | None) -> str:

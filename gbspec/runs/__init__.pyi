@@ -7,6 +7,7 @@ from .covariance import read_certainties as read_certainties
 from .locks import locked as locked
 from .population import POPULATION as POPULATION
 from .population import EffectRecord as EffectRecord
+from .population import ErrorsRecord as ErrorsRecord
 from .population import ObjectiveRecord as ObjectiveRecord
 from .population import PopulationRecord as PopulationRecord
 from .population import PopulationTables as PopulationTables

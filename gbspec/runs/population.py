@@ -2,7 +2,8 @@
 
 `members/K/population.safetensors` has, for every measured value, its trajectory, channel and time, the predictions of
 the population (all deviations 0) and of the trajectory's own constants, conditional weighted residuals (`cwres`) and
-those of the own predictions (`iwres`), and the quantiles of a visual predictive check.
+those of the own predictions (`iwres`), normalised prediction distribution errors (`npde`),
+and the quantiles of a visual predictive check.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class ObjectiveRecord:
 class EffectRecord:
     """A constant's distribution: `median` (the mean of a normal one) and `sd` of the deviations (of logarithms, if it
     is lognormal; of logits, if logitnormal). `interval` is that of the median, `sd_interval` that of the spread (90 %;
-    None: not known, or fixed)."""
+    None: not known, or fixed). `per`: the column between whose values it differs; the distribution
+    of a second grouping has a record of its own, `NAME per COLUMN`."""
 
     median: float
     sd: float
@@ -40,6 +42,19 @@ class EffectRecord:
     distribution: str = "lognormal"
     median_sd: float | None = None
     sd_interval: tuple[float, float] | None = None
+    per: str = "trajectory"
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ErrorsRecord:
+    """Normalised prediction distribution errors of a channel: their number, mean and variance, and the p value of their
+    being standard normal (three tests, Bonferroni)."""
+
+    n: int
+    mean: float
+    variance: float
+    p: float
     others: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -47,7 +62,7 @@ class EffectRecord:
 class PopulationRecord:
     """A fit by the marginal likelihood. `correlations` are of deviations. `parameters` is the number p of estimated
     numbers (of weights the effective one), `aic` is -2 log L + 2 p, `bic` -2 log L + p log(measured values);
-    `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks."""
+    `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks, and `npde` by channel."""
 
     minus2ll: float
     effects: Mapping[str, EffectRecord]
@@ -57,6 +72,7 @@ class PopulationRecord:
     bic: float | None = None
     nodes: int = 1
     ridge: float | None = field(default=None, metadata=OMITTED)
+    npde: Mapping[str, ErrorsRecord] = field(default_factory=dict)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

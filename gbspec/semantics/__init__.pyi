@@ -9,6 +9,7 @@ from .expressions import fold as fold
 from .expressions import operands as operands
 from .expressions import walk as walk
 from .numbers import default_start as default_start
+from .populations import GROUPS as GROUPS
 from .processes import Term as Term
 from .sites import truth_parameters as truth_parameters
 from .tables import written_out as written_out

@@ -14,6 +14,7 @@ from gbspec.semantics import (
     events,
     graph,
     measured_rates,
+    noises,
     places,
     populations,
     processes,
@@ -88,6 +89,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     unknowns.check(items, numbers, findings)
     points = tables.check(items, findings)
     populations.check(items, names, numbers, findings)
+    noises.check(items, numbers, findings)
     terms = _terms(places_of, names, findings)
     balances.once(items, findings)
     balances.targets(items, names, findings, merged)
@@ -102,7 +104,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     if not usage.has_states(items, names, findings):
         return None
     observed = usage.observed_names(items)
-    usage.unused(places_of, merged.in_indices | observed, names, findings)
+    usage.unused(places_of, merged.in_indices | observed | populations.columns(items), names, findings)
     usage.only_compared(places_of, observed, names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
     subject = doubts.Subject(items, names, values, order, numbers, places_of)

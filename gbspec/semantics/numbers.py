@@ -97,7 +97,7 @@ class Numbers:
                 case ast.LearnStatement() as statement:
                     self._learnable(statement)
                 case ast.ObserveStatement(noise=noise):
-                    if noise is not None:
+                    if noise is not None and noise.kind.text != "student":  # that has its own checks, in `noises`
                         self._distribution(noise, "noise", 1, "the standard deviation", "the coefficient of variation")
                 case ast.UnknownStatement(arguments=arguments):
                     for argument in arguments:
@@ -227,7 +227,8 @@ class Numbers:
                 "GB232",
                 f"`{kind}` is not a {what}",
                 distribution.kind.span,
-                help=f"write `{what} normal(…)` or `{what} lognormal(…)`",
+                help=f"write `{what} normal(…)` or `{what} lognormal(…)`"
+                + (" or `noise student(…, 5)`" if what == "noise" else ""),
             )
             return
         scale = scales[kinds.index(kind)]

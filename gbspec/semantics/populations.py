@@ -10,7 +10,7 @@ from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.table import Table
 from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import ast, target_name
+from gbspec.syntax import Kind, ast, target_name
 
 KINDS = ("lognormal", "normal", "logitnormal")
 """The distributions of constants between trajectories."""
@@ -24,6 +24,17 @@ def check(items: Iterable[Item], table: Table, numbers: Numbers, findings: Findi
     _Checks(items, table, numbers, findings).all()
 
 
+def columns(items: Iterable[Item]) -> set[str]:
+    """The columns by which constants and effects are grouped, trajectories apart."""
+    found = set()
+    for statement in (item.statement for item in items):
+        if isinstance(statement, ast.LearnStatement):
+            found |= {grouping.column.value for grouping in statement.groupings}
+        elif isinstance(statement, ast.EffectStatement):
+            found.add(statement.per.column.value)
+    return found - GROUPS
+
+
 class _Checks:
     def __init__(self, items: list[Item], table: Table, numbers: Numbers, findings: Findings) -> None:
         self.items, self.table, self.numbers, self.findings = items, table, numbers, findings
@@ -33,12 +44,13 @@ class _Checks:
 
     def all(self) -> None:
         """All checks."""
-        for per in (*(s.per for s in self.learned), *(s.per for s in self.effects)):
-            if per is not None and per.column.value not in GROUPS:
-                self._column(per)
         for statement in self.learned:
-            if statement.per is not None and statement.per.spread is not None:
-                self._distribution(statement, statement.per.spread)
+            self._groupings(statement)
+            for grouping in statement.groupings:
+                if grouping.spread is not None:
+                    self._distribution(statement, grouping.spread)
+        for effect in self.effects:
+            self._column(effect.per)
         for effect in self.effects:
             if effect.per.spread is not None:
                 self.findings.error(
@@ -52,12 +64,56 @@ class _Checks:
         if self.distributed or self.effects:
             self._mixed()
 
+    def _groupings(self, statement: ast.LearnStatement) -> None:
+        """Checks the columns by which a constant differs, and that its distributions are of one kind."""
+        first = statement.per
+        for grouping in statement.groupings:
+            self._column(grouping)
+            if grouping.spread is None and grouping.column.value not in GROUPS:
+                self.findings.error(
+                    "GB421",
+                    f"a value for each `{grouping.column.value}` without a distribution is not offered yet",
+                    grouping.span,
+                    help=f"write `per {grouping.column.value} ~ lognormal`, or give each a constant of its own, chosen "
+                    "by a condition",
+                )
+            elif first is not None and grouping is not first:
+                self._together(statement, first, grouping)
+
+    def _together(self, statement: ast.LearnStatement, first: ast.Grouping, other: ast.Grouping) -> None:
+        """Checks a further grouping against the first."""
+        name = statement.name.text
+        if {first.column.value, other.column.value} <= GROUPS:
+            self._grouping_error(other, "`per trajectory` and `per subject` mean the same", "keep one of the two")
+        elif first.spread is None or other.spread is None:
+            self._grouping_error(
+                other,
+                f"`{name}` has a distribution in one grouping and none in the other",
+                f"write `per {first.column.value} ~ lognormal per {other.column.value} ~ lognormal`",
+            )
+        elif first.spread.kind.text != other.spread.kind.text:
+            self._grouping_error(
+                other,
+                f"`{name}` is {first.spread.kind.text} between the values of `{first.column.value}` and "
+                f"{other.spread.kind.text} between those of `{other.column.value}`: deviations would not add",
+                "use one kind of distribution",
+            )
+
+    def _grouping_error(self, place: ast.Grouping, message: str, help: str) -> None:
+        self.findings.error("GB432", message, place.span, help=help)
+
     def _column(self, per: ast.Grouping) -> None:
+        """Checks that a column of groups has the name of nothing else than a condition."""
+        column = per.column.value
+        declaration = self.table.get(column)
+        if column in GROUPS or declaration is None or declaration.kind is Kind.CONDITION:
+            return
         self.findings.error(
-            "GB421",
-            f"`per {per.column.value}` is not offered yet: values differ between trajectories alone",
+            "GB433",
+            f"`per {column}` names a column of the table, but `{column}` is {declaration.kind.value}",
             per.column.span,
-            help="write `per trajectory`, and give each group a trajectory of its own in the table",
+            labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+            help="give the column another name",
         )
 
     def _distribution(self, statement: ast.LearnStatement, spread: ast.Distribution) -> None:
@@ -158,11 +214,25 @@ class _Checks:
                         labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
                         help=f"write `learn {name.text} = … per trajectory ~ lognormal`",
                     )
+                elif name.text in self._random and name.text not in self._between_trajectories:
+                    self.findings.error(
+                        "GB434",
+                        f"`{name.text}` does not differ between trajectories, but between groups of them, whose "
+                        "correlations are not offered yet",
+                        name.span,
+                        help=f"leave `{name.text}` out of `correlate`",
+                    )
                 seen.setdefault(name.text, name)
 
     @property
     def _random(self) -> set[str]:
         return self.distributed | {s.name.text for s in self.effects}
+
+    @property
+    def _between_trajectories(self) -> set[str]:
+        """What has a distribution between trajectories."""
+        of_learned = {s.name.text for s in self.learned for g in s.groupings if g.spread and g.column.value in GROUPS}
+        return of_learned | {s.name.text for s in self.effects if s.per.column.value in GROUPS}
 
     def _is_learned(self, name: str) -> bool:
         return isinstance(self.table[name].statement, ast.LearnStatement)

@@ -171,7 +171,8 @@ class _Rules:
                 self._ranged(name, interval, default)
             case ast.LearnStatement(name=name, range=interval, bounds=bounds, start=start):
                 self._ranged(name, interval, start, *(bound.value for bound in bounds))
-                self._spread(name, statement.per)
+                for grouping in statement.groupings:
+                    self._spread(name, grouping)
             case ast.TimeStatement(name=name, start=start):
                 self._ranged(name, None, start)
             case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():
@@ -254,12 +255,13 @@ class _Rules:
     def _noise(self, statement: ast.ObserveStatement, unit: Unit) -> None:
         """Checks the unit of a noise: the channel's for a standard deviation, none for a coefficient of variation."""
         noise = statement.noise
-        if noise is None or len(noise.arguments) != 1 or not self._usable(noise.arguments[0]):
+        if noise is None or not noise.arguments or not all(map(self._usable, noise.arguments)):
             return
         name = target_name(statement.target)
         formals = {PREDICTION: unit, name.text: unit}
-        wanted = unit if noise.kind.text == "normal" else ONE
-        self._units.carries(noise.arguments[0], wanted, f"the noise of `{name.text}`", name.span, formals)
+        first = ONE if noise.kind.text == "lognormal" else unit
+        for argument, wanted in zip(noise.arguments, (first, ONE), strict=False):
+            self._units.carries(argument, wanted, f"the noise of `{name.text}`", name.span, formals)
 
     def _spread(self, name: ast.Name, per: ast.Grouping | None) -> None:
         """Checks the unit of how far values lie apart: that of logarithms has none."""

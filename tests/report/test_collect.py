@@ -185,6 +185,7 @@ NOT_THERE = (
     "initial-states",
     "innovations",
     "per-trajectory",
+    "prediction-errors",
     "predictive-check",
     "weighted-residuals",
 )

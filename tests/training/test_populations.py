@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -219,20 +217,25 @@ def test_the_sweeps_and_the_torch_graph_agree(tmp_path: Path) -> None:
 
 
 def test_the_information_of_spreads_is_that_of_a_normal_distribution() -> None:
-    """Two trajectories with two deviations; every parameter moves one entry of the variance matrix's parts."""
+    """Two trajectories with two deviations; every parameter moves one entry of the factor, or the noise."""
     rng = np.random.default_rng(1)
     owner, f, variance = np.array([0, 0, 0, 1, 1]), rng.normal(size=(5, 2)), rng.uniform(1, 2, 5)
-    omega = np.array([[2.0, 0.3], [0.3, 1.0]])
-    spread = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]], np.zeros((2, 2))])
+    factor = np.linalg.cholesky(np.array([[2.0, 0.3], [0.3, 1.0]]))
+    moved = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 0.0], [1.0, 0.0]], np.zeros((2, 2))])
     noise = np.stack([*np.zeros((3, 5)), np.ones(5)], axis=1)
-    of = cast(Any, SimpleNamespace(by_z=torch.from_numpy(f), variance=torch.from_numpy(variance)))
-    found = marginal._information(owner, np.zeros((5, 4)), of, omega, spread, noise, np.arange(5))
+    spread = {p: f @ moved[p] for p in range(3)}
+    parts = marginal._Linearised(np.zeros((5, 4)), variance, f @ factor, spread, noise, np.zeros((5, 4)))
+    found = marginal._information(owner, parts, np.arange(5))
     expected = np.zeros((4, 4))
     for rows in (owner == 0, owner == 1):
-        inverse = np.linalg.inv(np.diag(variance[rows]) + f[rows] @ omega @ f[rows].T)
-        parts = [inverse @ (np.diag(noise[rows, p]) + f[rows] @ spread[p] @ f[rows].T) for p in range(4)]
-        expected += 0.5 * np.array([[np.trace(a @ b) for b in parts] for a in parts])
-    assert np.allclose(found, expected) and (np.diag(found) > 0).all()
+        inverse = np.linalg.inv(np.diag(variance[rows]) + f[rows] @ factor @ factor.T @ f[rows].T)
+        each = [
+            inverse @ (np.diag(noise[rows, p]) + f[rows] @ (moved[p] @ factor.T + factor @ moved[p].T) @ f[rows].T)
+            for p in range(4)
+        ]
+        expected += 0.5 * np.array([[np.trace(a @ b) for b in each] for a in each])
+    assert np.allclose(found, expected)
+    assert (np.diag(found) > 0).all()
 
 
 def test_correlations_are_those_of_the_deviations(tmp_path: Path) -> None:
@@ -323,3 +326,34 @@ def test_published_likelihoods_are_found(
     u = made.layout.bijections.from_natural(np.array(natural))
     found = made.value(u, weights, np.zeros((len(data), made.layout.effects)))
     assert found.total == pytest.approx(minus2ll, abs=0.05)
+
+
+def test_nodes_without_a_solution_leave_the_quadrature_and_its_gradient_finite(tmp_path: Path) -> None:
+    """With long steps the solution grows beyond all bounds where the rate is large."""
+    model, data = decays(tmp_path, DECAY.replace("learn k = 0.5 in", "learn k = 2 in"))
+    made, u, weights = marginal_of(model, data, 9, step=0.5)
+    start = np.zeros((len(data), 2))
+    u[list(made.layout.names).index("sd_k")] += 2.0  # nodes far out: some rates are far above 2.8/0.5
+    found = made.value(u, weights, start)
+    assert np.isfinite(found.each).all()
+    assert np.isfinite(made.slopes(u, weights, found.z).parameters).all()
+
+
+def test_a_fit_by_quadrature_ends_at_its_maximum(tmp_path: Path) -> None:
+    model, data = decays(tmp_path, count=12)
+    options = TrainOptions(backend="torch", max_step=0.5, effort="low", quadrature=3)
+    found = train(model, data, options, tmp_path / "run").fit.population
+    assert found is not None
+    assert found.nodes == 3
+    made, u, weights = marginal_of(model, data, 3)
+    names = {"median_k": ("k", "median"), "median_x0": ("x0", "median"), "sd_k": ("k", "sd"), "sd_x0": ("x0", "sd")}
+    natural = made.layout.natural(torch.from_numpy(u)).numpy().copy()
+    for name, (effect, what) in names.items():
+        natural[made.layout.names[name]] = getattr(found.effects[effect], what)
+    natural[made.layout.correlations[0]] = found.correlations["k"]["x0"]
+    fit = json.loads((tmp_path / "run" / "fit.json").read_text())
+    natural[made.layout.names["a"]] = fit["constants"]["a"]["value"]
+    at = made.layout.bijections.from_natural(natural)
+    value = made.value(at, weights, np.zeros((12, 2)))
+    assert value.total == pytest.approx(found.minus2ll, abs=1e-6)
+    assert np.abs(made.slopes(at, weights, value.z).parameters.sum(axis=0)).max() < 0.05

@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import sympy
+from scipy.special import stdtrit
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import logarithmic
+from gbspec.ir import Channel, logarithmic, symbol
 
 if TYPE_CHECKING:
     from gbspec.runs import Run
@@ -22,9 +24,22 @@ NORMAL_90 = 1.6448536269514722
 
 
 def noise_at(run: Run, values: Array) -> Array:
-    """The standard deviation [..., C] of a measurement of channels at `values` [..., C], in their own units."""
-    found = np.array([run.fit.noise.get(c.name) or 0.0 for c in run.model.channels], dtype=np.float64)
+    """The standard deviation [..., C] of a measurement of channels at `values` [..., C], in their own units: under
+    Student's noise that of a normal one with the same 90 % interval."""
+    found = np.array(
+        [(run.fit.noise.get(c.name) or 0.0) * _wider(run, c) for c in run.model.channels], dtype=np.float64
+    )
     return np.asarray(found * np.where(logarithmic(run.model), np.abs(values), 1.0), dtype=np.float64)
+
+
+def _wider(run: Run, channel: Channel) -> float:
+    """The 90 % interval of Student's noise, in units of that of a normal one whose standard deviation is the scale."""
+    if channel.noise is None or channel.noise.freedom is None:
+        return 1.0
+    known = {c.symbol: c.value for c in run.model.constants}
+    known |= {symbol(name): one.value for name, one in run.fit.constants.items() if one.value is not None}
+    freedom = float(channel.noise.freedom.xreplace({s: sympy.Float(v) for s, v in known.items()}))
+    return float(stdtrit(freedom, 0.95)) / NORMAL_90
 
 
 def interval(mean: Array, sd: Array, in_logarithms: Mask | bool) -> tuple[Array, Array]:

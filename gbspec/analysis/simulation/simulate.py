@@ -125,6 +125,10 @@ def simulate(
     options.check(findings)
     if not model.channels:
         findings.error("GB756", f"the model `{model.name}` observes nothing", None, help="add `observe …` to it")
+    if individuals is not None and individuals.grouped:
+        message = f"constants of `{model.name}` differ between groups of trajectories, which are not simulated yet"
+        help = "leave the groups out of a copy of the model, and simulate that"
+        findings.error("GB786", message, None, help=help)
     box = boxes(model, options, findings, given=like is not None)
     reject = regions(options.reject, model, findings)
     findings.raise_if_failed()

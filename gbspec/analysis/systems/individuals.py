@@ -32,14 +32,19 @@ class Individuals:
     place: tuple[int, ...]
     factor: Array
 
+    @property
+    def grouped(self) -> bool:
+        """Whether groups of trajectories share a part of the deviations; the factor has it as if it were their own."""
+        return any(k.distribution is not None and k.distribution.levels for k in self.learnables)
+
     @classmethod
     def of_model(cls, model: Model, names: Sequence[str]) -> Individuals | None:
         """Those of a model at its truth, else its starts; correlations are zero. None without distributed constants."""
         known = {k.name: k.start for k in (*model.learnables, *model.implied)}
         known |= {t.name: t.value for t in model.truth_constants}
         made = [k.distribution for k in model.distributed if k.distribution is not None]
-        spreads = [m.fixed if m.spread is None else known[m.spread] for m in made]
-        return cls._at(model, names, np.diag(spreads)) if made else None
+        each = [[fixed if name is None else known[name] for name, fixed in m.spreads] for m in made]
+        return cls._at(model, names, np.diag([float(np.linalg.norm(one)) for one in each])) if made else None
 
     @classmethod
     def of_member(cls, member: GeneratedModule, model: Model) -> Individuals | None:

@@ -26,7 +26,8 @@ class Swept:
     `start` (start, condition, constants) -> state; `step` (state, t, h, inputs at the nodes, amounts, condition,
     constants, layers) -> state; `observe` (state, t, inputs, condition, constants, layers) -> channels and, for each k,
     their derivatives. The others take the same and a cotangent of the result, and give those of constants for `start`,
-    else of (state, constants, layers). `amounts` are those of the doses that arrive before the step, by kind.
+    else of (state, constants, layers), or those of `…_back_constants` of (state, constants) alone. `amounts` are those
+    of the doses that arrive before the step, by kind.
     """
 
     states: int
@@ -35,8 +36,10 @@ class Swept:
     start_back: Casadi
     step: Casadi
     step_back: Casadi
+    step_back_constants: Casadi
     observe: Casadi
     observe_back: Casadi
+    observe_back_constants: Casadi
 
 
 def swept(instance: GeneratedModule, by: Sequence[int]) -> Swept:
@@ -66,22 +69,29 @@ def swept(instance: GeneratedModule, by: Sequence[int]) -> Swept:
     seen = instance.equations.observe(m, t, x, condition, inputs, k, networks)
     observed = _with_sensitivities(seen, x, constants, wide, by)
 
-    def both(name: str, given: list[Casadi], value: Casadi, of: list[Casadi]) -> tuple[Casadi, Casadi]:
-        value = ca.densify(ca.SX(value))
-        cotangent = ca.SX.sym("cotangent", value.shape[0])
-        whole = ca.vertcat(*of)
-        back = ca.densify(ca.jtimes(value, whole, cotangent, True))
-        parts = ca.vertsplit(back, [0, *_ends([part.shape[0] for part in of])])
-        return ca.Function(name, given, [value]), ca.Function(f"{name}_back", [*given, cotangent], list(parts))
+    given = [wide, t, h, *nodes, amounts, condition, constants, layers]
+    seen_at = [wide, t, inputs, condition, constants, layers]
+    return Swept(
+        n,
+        layers.shape[0],
+        *_with_cotangents("start", [begin, condition, constants], first, [[constants]]),
+        *_with_cotangents("step", given, step, [[wide, constants, layers], [wide, constants]]),
+        *_with_cotangents("observe", seen_at, observed, [[wide, constants, layers], [wide, constants]]),
+    )
 
-    start, start_back = both("start", [begin, condition, constants], first, [constants])
-    stepped, step_back = both(
-        "step", [wide, t, h, *nodes, amounts, condition, constants, layers], step, [wide, constants, layers]
-    )
-    observe, observe_back = both(
-        "observe", [wide, t, inputs, condition, constants, layers], observed, [wide, constants, layers]
-    )
-    return Swept(n, layers.shape[0], start, start_back, stepped, step_back, observe, observe_back)
+
+def _with_cotangents(
+    name: str, given: list[Casadi], value: Casadi, by: Sequence[Sequence[Casadi]]
+) -> tuple[Casadi, ...]:
+    """The function of `given`, and those of its cotangents by each group of symbols."""
+    value = ca.densify(ca.SX(value))
+    cotangent = ca.SX.sym("cotangent", value.shape[0])
+    found = [ca.Function(name, given, [value])]
+    for number, of in enumerate(by):
+        back = ca.densify(ca.jtimes(value, ca.vertcat(*of), cotangent, True))
+        parts = ca.vertsplit(back, [0, *_ends([part.shape[0] for part in of])])
+        found.append(ca.Function(f"{name}_back_{number}", [*given, cotangent], list(parts)))
+    return tuple(found)
 
 
 def _ends(sizes: Sequence[int]) -> list[int]:

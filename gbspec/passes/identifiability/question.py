@@ -69,11 +69,16 @@ class Question:
         The analysis does not reach noises and distributions: what only these contain is undecided.
         """
         elsewhere = {
-            s for c in self.model.channels if c.noise and c.noise.value is not None for s in c.noise.value.free_symbols
+            s
+            for c in self.model.channels
+            if c.noise
+            for e in (c.noise.value, c.noise.freedom)
+            if e is not None
+            for s in e.free_symbols
         }
-        elsewhere |= {
-            symbol(k.distribution.spread) for k in self.model.distributed if k.distribution and k.distribution.spread
-        }
+        for made in (k.distribution for k in self.model.distributed if k.distribution is not None):
+            spreads = made.spread, *(level.spread for level in made.levels)
+            elsewhere |= {symbol(name) for name in spreads if name}
         starts = [e for e in self.starts if e is not None]
         terms = [*self.rates, *self.outputs, *self._arguments, *starts]
         inside = {s for e in terms for s in e.free_symbols} | {

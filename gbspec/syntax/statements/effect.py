@@ -39,6 +39,9 @@ class EffectStatement(Named, Formula):
         per = reader.required(children, found, "per_trajectory", message, f"write `effect {name.text} per trajectory`")
         if not isinstance(per, Grouping):  # reported
             per = Grouping(name.span, Text(name.span, "trajectory"))
+        for second in found["further"]:
+            reader.problem("GB126", "an effect has one grouping, and here is a second", second.span,
+                           help="declare another effect")  # fmt: skip
         return cls(reader.over(children), name, per, found.get("text"))
 
     def places(self) -> Iterator[Place]:

@@ -37,6 +37,13 @@ class LearnStatement(Named):
     description: Text | None = None
     row: tuple[Expression, ...] = ()
     """The first and the last index of a row of constants."""
+    further: tuple[Grouping, ...] = ()
+    """What stands after the first `per`: groups by other columns."""
+
+    @property
+    def groupings(self) -> tuple[Grouping, ...]:
+        """All of its groupings."""
+        return () if self.per is None else (self.per, *self.further)
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
@@ -54,6 +61,7 @@ class LearnStatement(Named):
             found.get("per_trajectory"),
             found.get("text"),
             tuple(end for end in (declarator.first, declarator.last) if end is not None),
+            found["further"],
         )
 
     def places(self) -> Iterator[Place]:
@@ -61,6 +69,5 @@ class LearnStatement(Named):
         yield from fixed(*self.row, self.start, *(bound.value for bound in self.bounds))
         yield from ends(self.range)
         yield from parameters(self.prior)
-        if self.per is not None and self.per.spread is not None:
-            for argument in self.per.spread.arguments:
-                yield Place(argument, rules.SPREAD)
+        for grouping in self.groupings:
+            yield from (Place(a, rules.SPREAD) for a in (grouping.spread.arguments if grouping.spread else ()))

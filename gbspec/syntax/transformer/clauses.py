@@ -247,8 +247,12 @@ class ClauseRules(ExpressionRules):
         seen: dict[str, Clause] = {}
         bounds: list[ast.Bound] = []
         contracts: list[ast.Contract] = []
+        further: list[ast.Grouping] = []
         for clause in clauses:
             kind = clause.kind
+            if kind == "per_trajectory" and kind in seen and self._elsewhere(clause, seen[kind], further):
+                further.append(clause.content)
+                continue
             if kind == "contracts":
                 contracts.extend(clause.content)
                 continue
@@ -259,7 +263,13 @@ class ClauseRules(ExpressionRules):
                 self._twice(clause, seen[kind], kind, of)
             seen.setdefault(kind, clause)
         self.clauses = tuple(clauses)
-        return {kind: c.content for kind, c in seen.items()} | {"bounds": tuple(bounds), "contracts": tuple(contracts)}
+        lists = {"bounds": tuple(bounds), "contracts": tuple(contracts), "further": tuple(further)}
+        return {kind: c.content for kind, c in seen.items()} | lists
+
+    @staticmethod
+    def _elsewhere(clause: Clause, first: Clause, further: list[ast.Grouping]) -> bool:
+        """Whether a further `per` names another column than those before."""
+        return clause.content.column.value not in {one.column.value for one in (first.content, *further)}
 
     def _twice(self, clause: Clause, first: Clause, kind: str, of: str) -> None:
         self.report(

@@ -54,8 +54,10 @@ class Choice:
 
 def few(model: Model, options: TrainOptions, substeps: int) -> bool:
     """Whether a kernel is not worth its compilation by the number of sub-steps alone."""
-    # A search for the best minimum solves the model thousands of times, however few the data are.
-    return substeps < LEAST_SUBSTEPS and not (model.complete and options.method == "auto")
+    # A search for the best minimum solves the model thousands of times, however few the data are; so do the inner
+    # problems of a population.
+    often = (model.complete and options.method == "auto") or bool(model.distributed)
+    return substeps < LEAST_SUBSTEPS and not often
 
 
 def choose(

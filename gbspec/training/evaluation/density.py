@@ -6,7 +6,7 @@ With the prediction f and the variance v of a value y, it contributes
 
 and under lognormal noise the same of log y and log f, and log y for the density of y itself. The variance is that of
 the noise that the model states, or of the value's own column `sd_NAME`; where the noise is learned, both are added. An
-average of n values has the variance v/n.
+average of n values has the variance v/n. Under Student's noise v is the square of the scale.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import Model
-from gbspec.training.population import Measured, standard_deviation
+from gbspec.training.population import Measured, degrees_of_freedom, standard_deviation, student, student_noise
 
 LOG_2PI = float(np.log(2 * np.pi))
 
@@ -52,7 +52,12 @@ class Density:
         """The contributions [m] to the negative log likelihood."""
         residual, sd = self.compared(mean, constants)
         jacobian = torch.from_numpy(np.where(self.measured.logarithm, self.measured.value, 0.0))
-        return 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian
+        normal = 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian
+        of_channels = np.array([student_noise(c) for c in self.model.channels], dtype=np.bool_)
+        heavy = torch.from_numpy(of_channels[self.measured.channel])
+        if not bool(heavy.any()):
+            return normal
+        return torch.where(heavy, 0.5 * student.minus_two_log(residual, sd**2, self._freedom(constants)), normal)
 
     def slopes(self, mean: Array, constants: Array) -> tuple[float, Array, Array]:
         """The negative log likelihood, its derivatives by the predictions [m] and by the constants [m, K]."""
@@ -66,6 +71,18 @@ class Density:
     def _known(self, channel: int) -> bool:
         one = self.model.channels[channel]
         return one.noise is not None or one.name in self.noise
+
+    def _freedom(self, constants: Tensor) -> Tensor:
+        """The degrees of freedom [m] of values with Student's noise, 1 of others."""
+        out = torch.ones(len(constants), dtype=torch.float64)
+        for channel, one in enumerate(self.model.channels):
+            rows = torch.from_numpy(np.flatnonzero(self.measured.channel == channel))
+            if len(rows) and one.noise is not None and one.noise.freedom is not None:
+                table = constants[rows]
+                known = {k.symbol: table[:, i] for i, k in enumerate(self.model.learnables)}
+                found = degrees_of_freedom(self.model, one.noise.freedom, known, out[rows])
+                out = out.index_add(0, rows, found - 1)
+        return out
 
     def _variance(self, mean: Tensor, constants: Tensor) -> Tensor:
         measured, out = self.measured, torch.zeros_like(mean)

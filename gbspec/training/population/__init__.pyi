@@ -1,6 +1,12 @@
+from . import results as results
+from . import student as student
+from .discrepancies import examined as examined
+from .groups import Groups as Groups
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
+from .noise import degrees_of_freedom as degrees_of_freedom
 from .noise import standard_deviation as standard_deviation
+from .noise import student_noise as student_noise
 from .objective import Objective as Objective
 from .objective import Point as Point
 from .pooled import Pooled as Pooled
@@ -9,7 +15,8 @@ from .predictions import Individuals as Individuals
 from .predictions import Measured as Measured
 from .predictions import Predictions as Predictions
 from .results import PopulationResult as PopulationResult
-from .results import predictive_check as predictive_check
 from .results import result_at as result_at
+from .results import simulated_tables as simulated_tables
 from .stage import MarginalLikelihood as MarginalLikelihood
+from .stage import modes_of as modes_of
 from .stage import vector_of as vector_of

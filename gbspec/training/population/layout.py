@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir import Learnable, Model
+from gbspec.ir import Learnable, Level, Model
 from gbspec.training.problem import Bijections, Parameters
 
 
@@ -63,6 +63,17 @@ class Layout:
         """The number q of distributed constants."""
         return len(self.distributed)
 
+    @cached_property
+    def levels(self) -> tuple[tuple[int, Level], ...]:
+        """The deviations that groups of trajectories share, each with the place of its constant in `distributed`."""
+        each = enumerate(k.distribution for k in self.distributed)
+        return tuple((k, level) for k, made in each if made is not None for level in made.levels)
+
+    @property
+    def width(self) -> int:
+        """The number of standard numbers z of a trajectory: q of its own, then one for each of `levels`."""
+        return self.effects + len(self.levels)
+
     def slice(self) -> slice:
         """Where the trainable vector has u."""
         return slice(self.parameters.n_weights, self.parameters.n_shared)
@@ -106,7 +117,8 @@ class Layout:
         """How many implied parameters precede the correlations."""
         declared = {k.name for k in self.model.learnables}
         found = [k.distribution for k in self.distributed if k.distribution is not None]
-        spreads = {m.spread for m in found if m.spread is not None and m.spread not in declared}
+        each = [spread for m in found for spread in (m.spread, *(level.spread for level in m.levels))]
+        spreads = {spread for spread in each if spread is not None and spread not in declared}
         return sum(bool(made.median) for made in found) + len(spreads)
 
     @cached_property
@@ -117,8 +129,18 @@ class Layout:
         return range(first, first + pairs)
 
     def factor(self, natural: Tensor) -> Tensor:
-        """The factor B [..., q, q] of the covariance B B^T of deviations."""
-        return self.spreads(natural)[..., None] * self.correlation_factor(natural)
+        """The factor B [..., q, width] of the covariance B B^T of deviations."""
+        own = self.spreads(natural)[..., None] * self.correlation_factor(natural)
+        if not self.levels:
+            return own
+        columns = []
+        for k, level in self.levels:
+            given = natural.new_full(natural.shape[:-1], level.fixed)
+            spread = given if level.spread is None else natural[..., self.names[level.spread]]
+            unit = torch.zeros(self.effects, dtype=natural.dtype)
+            unit[k] = 1.0
+            columns.append(spread[..., None] * unit)
+        return torch.cat([own, torch.stack(columns, -1)], -1)
 
     def individual(self, natural: Tensor, deviation: Tensor) -> tuple[Tensor, Tensor]:
         """Distributed constants [..., q] of trajectories with these deviations [..., q], and their derivatives."""
@@ -144,8 +166,8 @@ class Layout:
         return torch.stack(values, -1), torch.stack(slopes, -1)
 
     def constants(self, natural: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-        """All learnables [N, K] of trajectories with natural parameters [N, P] and standard numbers z [N, q], and the
-        derivatives [N, q, q] of the distributed ones by z."""
+        """All learnables [N, K] of trajectories with natural parameters [N, P] and standard numbers z [N, width], and
+        the derivatives [N, q, width] of the distributed ones by z."""
         factor = self.factor(natural)
         own, slope = self.individual(natural, torch.einsum("nij,nj->ni", factor, z))
         columns = []
@@ -156,6 +178,37 @@ class Layout:
                 columns.append(natural[:, self.names[learnable.name]])
         table = torch.stack(columns, 1) if columns else natural.new_zeros((len(natural), 0))
         return table, slope[..., None] * factor
+
+    def numbers(self, natural: Tensor, individual: Tensor) -> Tensor:
+        """The standard numbers z [N, width] of trajectories whose distributed constants are `individual` [N, q]; those
+        of levels are 0, if the constant also differs between trajectories."""
+        deviations = []
+        for k, learnable in enumerate(self.distributed):
+            made, value = learnable.distribution, individual[:, k]
+            assert made is not None
+            median = natural[:, self.names[made.median]] if made.median else torch.zeros_like(value)
+            match made.kind:
+                case "lognormal":
+                    eta = torch.log(value / median)
+                case "logitnormal":
+                    low, width = learnable.range.low, learnable.range.high - learnable.range.low
+                    eta = torch.logit((value - low) / width) - torch.logit((median - low) / width)
+                case _:
+                    eta = value - median
+            deviations.append(eta)
+        if not deviations:
+            return individual
+        deviation, spreads = torch.stack(deviations, -1), self.spreads(natural)
+        scaled = torch.where(spreads > 0, deviation / torch.clamp(spreads, min=1e-12), torch.zeros_like(deviation))
+        found = torch.linalg.solve_triangular(self.correlation_factor(natural), scaled[..., None], upper=False)[..., 0]
+        factor = self.factor(natural)
+        parts = [found]
+        for e, (k, _) in enumerate(self.levels):
+            alone = (spreads[:, k] <= 0) & (factor[:, k, self.effects + e] > 0)
+            own = deviation[:, k] / torch.clamp(factor[:, k, self.effects + e], min=1e-12)
+            parts.append(torch.where(alone, own, torch.zeros_like(own))[:, None])
+        found = torch.cat(parts, 1)
+        return torch.where(torch.isfinite(found), torch.clamp(found, -8.0, 8.0), torch.zeros_like(found))
 
     def covariance_of_deviations(self, natural: Array) -> Array:
         """The covariance of the deviations [q, q]."""

@@ -22,18 +22,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import sympy
 import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import symbol
+from gbspec.training.population import student
+from gbspec.training.population.groups import Groups
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.noise import LEAST, standard_deviation
+from gbspec.training.population.noise import LEAST, degrees_of_freedom, standard_deviation, student_noise
 from gbspec.training.population.predictions import Predictions
 
 LOG_2PI = float(np.log(2 * np.pi))
+FARTHEST = 1e100
+"""Predictions at the nodes of a quadrature are at most so large: steps may be too long for constants far out."""
 ITERATIONS = 60
 """Largest number of iterations of the inner problems."""
+AWAY = 1.5
+"""How far from 0 further starts of the inner problems lie."""
 RESTS = 1e-9
 """An inner problem has converged when its next step is shorter than this (z has the standard deviation 1)."""
 
@@ -43,6 +50,8 @@ class Compared:
     """Predictions compared with values [m]: on the logarithmic scale where the noise is lognormal.
 
     `mean`, `residual`, `variance`, its derivative by the mean `slope` (all [m]), and the sensitivities `by_z` [m, q].
+    Where the noise is Student's, `variance` is the square of its scale and `freedom` [m] its degrees of freedom
+    (elsewhere 1, without meaning).
     """
 
     mean: Tensor
@@ -50,6 +59,7 @@ class Compared:
     variance: Tensor
     slope: Tensor
     by_z: Tensor
+    freedom: Tensor
 
 
 class Likelihood:
@@ -58,8 +68,10 @@ class Likelihood:
     def __init__(self, layout: Layout, predictions: Predictions) -> None:
         self.layout, self.predictions = layout, predictions
         measured = predictions.measured
-        self.count = measured.trajectories
+        self.groups = Groups.of(layout, predictions.problem.packed.condition)
+        self.trajectories, self.count = measured.trajectories, self.groups.count
         self.owner = torch.from_numpy(measured.owner)
+        self.unit = torch.from_numpy(self.groups.unit[measured.owner])
         self.value = torch.from_numpy(measured.value)
         self.share = torch.from_numpy(1.0 / measured.weight**2)
         self.extra = torch.from_numpy(measured.sd**2)
@@ -69,19 +81,25 @@ class Likelihood:
         ]
         self.side = torch.from_numpy(measured.side)
         self.limited = bool(measured.side.any())
+        heavy = np.array([student_noise(c) for c in layout.model.channels], dtype=np.bool_)[measured.channel]
+        self.heavy, self.outliers = torch.from_numpy(heavy), bool(heavy.any())
         # The density of a value whose logarithm is normal has the factor 1/value.
         jacobian = np.where(measured.logarithm & (measured.side == 0), 2 * measured.value, 0.0)
         self.constant = self.sums(torch.from_numpy(jacobian))
 
     def sums(self, values: Tensor) -> Tensor:
-        """Sums of values [m, ...] over each trajectory [N, ...]."""
+        """Sums of values [m, ...] over each unit [units, ...]."""
         out = values.new_zeros((self.count, *values.shape[1:]))
-        return out.index_add(0, self.owner, values)
+        return out.index_add(0, self.unit, values)
+
+    def individual(self, natural: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """`Layout.constants` of trajectories from the standard numbers z [units, size]."""
+        return self.layout.constants(natural, self.groups.numbers(z))
 
     def compared(self, mean: Tensor, sensitivity: Tensor, slope: Tensor, natural: Tensor) -> Compared:
-        """The comparison at predictions [m] and sensitivities [m, q] to constants, whose derivatives by z are `slope`
-        [N, q, q]."""
-        by_z = torch.einsum("mq,mqz->mz", sensitivity, slope[self.owner])
+        """The comparison at predictions [m] and sensitivities [m, q] to constants, whose derivatives by the numbers of
+        their trajectories are `slope` [N, q, width]."""
+        by_z = self.groups.placed(torch.einsum("mq,mqz->mz", sensitivity, slope[self.owner]), self.owner)
         if bool(self.logs.any()):
             safe = torch.clamp(mean, min=1e-300)
             by_z = torch.where(self.logs[:, None], by_z / safe[:, None], by_z)
@@ -93,24 +111,40 @@ class Likelihood:
         if not mean.requires_grad:
             variance = variance.detach()
         rate = torch.zeros_like(mean) if rate is None else rate
-        return Compared(mean, mean - self.value, variance, rate, by_z)
+        return Compared(mean, mean - self.value, variance, rate, by_z, self.freedom(natural))
+
+    def freedom(self, natural: Tensor) -> Tensor:
+        """The degrees of freedom [m] of values with Student's noise, 1 of others."""
+        out = torch.ones(len(self.value), dtype=torch.float64)
+        for channel, rows in enumerate(self.channels):
+            noise = self.layout.model.channels[channel].noise
+            if len(rows) and noise is not None and noise.freedom is not None:
+                known = self._known(natural, rows)
+                found = degrees_of_freedom(self.layout.model, noise.freedom, known, out[rows])
+                out = out.index_add(0, rows, found - 1)
+        return out
+
+    def _known(self, natural: Tensor, rows: Tensor) -> dict[sympy.Symbol, Tensor]:
+        """The parameters by symbol, for each of these values."""
+        table = natural[self.owner[rows]]
+        return {symbol(name): table[:, place] for name, place in self.layout.names.items()}
 
     def variance(self, mean: Tensor, natural: Tensor) -> Tensor:
         """The variances [m] of the measured values."""
         model, out = self.layout.model, torch.zeros_like(mean)
-        names = {symbol(name): place for name, place in self.layout.names.items()}
         for channel, rows in enumerate(self.channels):
             if not len(rows):
                 continue
             f = torch.where(self.logs[rows], torch.exp(mean[rows]), mean[rows])
-            table = natural[self.owner[rows]]
-            known = {name: table[:, place] for name, place in names.items()}
+            known = self._known(natural, rows)
             out = out.index_add(0, rows, standard_deviation(model, channel, f, known) ** 2)
         return torch.clamp(out * self.share + self.extra + 0 * mean, min=LEAST)
 
     def joint(self, of: Compared, z: Tensor) -> Tensor:
         """g [N]."""
         terms = LOG_2PI + torch.log(of.variance) + of.residual**2 / of.variance
+        if self.outliers:
+            terms = torch.where(self.heavy, student.minus_two_log(of.residual, of.variance, of.freedom), terms)
         if self.limited:
             place, _ = self._limit(of)
             terms = torch.where(self.side == 0, terms, -2 * torch.special.log_ndtr(place))
@@ -119,6 +153,9 @@ class Likelihood:
     def half_gradient(self, of: Compared, z: Tensor) -> Tensor:
         """The gradient of g/2 by z [N, q]."""
         by_mean = of.residual / of.variance + 0.5 * of.slope * (1 / of.variance - of.residual**2 / of.variance**2)
+        if self.outliers:
+            other = student.by_mean(of.residual, of.variance, of.slope, of.freedom)
+            by_mean = torch.where(self.heavy, other, by_mean)
         if self.limited:
             place, by = self._limit(of)
             by_mean = torch.where(self.side == 0, by_mean, -_mills(place) * by)
@@ -127,12 +164,18 @@ class Likelihood:
     def expected_hessian(self, of: Compared) -> Tensor:
         """H [N, q, q]."""
         weight = 1 / of.variance + 0.5 * (of.slope / of.variance) ** 2
+        if self.outliers:
+            weight = torch.where(self.heavy, student.expected(of.variance, of.slope, of.freedom), weight)
         if self.limited:
             place, by = self._limit(of)
             ratio = _mills(place)
             weight = torch.where(self.side == 0, weight, ratio * torch.clamp(ratio + place, min=0.0) * by**2)
-        products = weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :]
-        return torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype) + self.sums(products)
+        unit = torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype)
+        if not self.groups.shared:
+            return unit + self.sums(weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :])
+        # The products of all values at once would take far more memory where units have many numbers.
+        rows = [torch.nonzero(self.unit == c)[:, 0] for c in range(self.count)]
+        return torch.stack([unit + (of.by_z[r] * weight[r, None]).T @ of.by_z[r] for r in rows])
 
     def _limit(self, of: Compared) -> tuple[Tensor, Tensor]:
         """w [m] of limits, in whose place known values have 0, and dw/df."""
@@ -144,10 +187,32 @@ class Likelihood:
     def at(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
         """The comparison with first derivatives alone; not differentiable."""
         with torch.no_grad():
-            constants, slope = self.layout.constants(natural, z)
+            constants, slope = self.individual(natural, z)
         found = self.predictions.individuals.first(constants.numpy(), weights)
         sensitivity = torch.from_numpy(found.constants[:, self.layout.place])
         return self.compared(torch.from_numpy(found.mean), sensitivity, slope, natural)
+
+    def plain(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
+        """The comparison without sensitivities, which are 0: enough for the density. Where a solution grows beyond all
+        bounds, the density is as good as 0."""
+        with torch.no_grad():
+            constants, slope = self.individual(natural, z)
+        mean = bounded(torch.from_numpy(self.predictions.individuals.mean(constants.numpy(), weights)))
+        return self.compared(mean, mean.new_zeros((len(mean), self.layout.effects)), slope, natural)
+
+    def lowest(self, natural: Tensor, z: Tensor, weights: Array) -> tuple[Tensor, Compared]:
+        """The lowest of the minima of g that are found from `z`, from 0, and from both sides of 0 along each number:
+        with networks there may be several."""
+        best, of = self.modes(natural, z, weights)
+        value = torch.nan_to_num(self.joint(of, best), nan=torch.inf)
+        unit = AWAY * torch.eye(z.shape[1], dtype=z.dtype)
+        for start in (0 * unit[0], *unit, *-unit) if z.shape[1] else ():
+            other, there = self.modes(natural, start.expand_as(z).clone(), weights)
+            reached = torch.nan_to_num(self.joint(there, other), nan=torch.inf)
+            better = reached < value - 1e-6
+            best, value = torch.where(better[:, None], other, best), torch.where(better, reached, value)
+            of = self._chosen(better, there, of)
+        return best, of
 
     def modes(self, natural: Tensor, z: Tensor, weights: Array) -> tuple[Tensor, Compared]:
         """The minima of g from `z` [N, q], side by side, and the comparison there."""
@@ -185,12 +250,17 @@ class Likelihood:
 
     def _chosen(self, which: Tensor, first: Compared, second: Compared) -> Compared:
         """The first comparison for some of the trajectories, the second for the others."""
-        rows = which[self.owner]
+        rows = which[self.unit]
         parts = {
             name: torch.where(rows[:, None] if value.ndim > 1 else rows, value, getattr(second, name))
             for name, value in vars(first).items()
         }
         return Compared(**parts)
+
+
+def bounded(mean: Tensor) -> Tensor:
+    """Predictions whose squares are finite numbers."""
+    return torch.clamp(torch.nan_to_num(mean, nan=FARTHEST), -FARTHEST, FARTHEST)
 
 
 def _mills(place: Tensor) -> Tensor:

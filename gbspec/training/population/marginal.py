@@ -18,6 +18,7 @@ the modes (Sheiner and Beal 1980): y ~ N(mu, V), V = R + F Omega F^T,
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -26,9 +27,11 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.population import student
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.likelihood import Compared, Likelihood
+from gbspec.training.population.likelihood import FARTHEST, Compared, Likelihood, bounded
 from gbspec.training.population.predictions import Predictions
+from gbspec.training.population.sweeps import by_constants
 from gbspec.training.problem import Integers
 
 
@@ -63,7 +66,7 @@ class Marginal:
         self.layout, self.predictions, self.nodes = layout, predictions, nodes
         self.likelihood = Likelihood(layout, predictions)
         points, masses = np.polynomial.hermite.hermgauss(nodes)
-        q = layout.effects
+        q = self.likelihood.groups.size
         grid = list(product(range(nodes), repeat=q))
         self.points = torch.tensor([[points[i] for i in at] for at in grid], dtype=torch.float64).reshape(len(grid), q)
         self.log_mass = torch.tensor(
@@ -72,25 +75,28 @@ class Marginal:
 
     def rows(self, u: Array) -> Tensor:
         """u as one row for each trajectory [N, P]."""
-        return torch.from_numpy(u).expand(self.likelihood.count, -1)
+        return torch.from_numpy(u).expand(self.likelihood.trajectories, -1)
 
-    def value(self, u: Array, weights: Array, z: Array) -> Value:
-        """The likelihood at u; `z` [N, q] are the modes from which the inner problems begin."""
+    def value(self, u: Array, weights: Array, z: Array, afresh: bool = False) -> Value:
+        """The likelihood at u; `z` [N, q] are the modes from which the inner problems begin, with networks and `afresh`
+        also from elsewhere."""
         natural = self.layout.natural(self.rows(u))
-        modes, of = self.likelihood.modes(natural, torch.from_numpy(z), weights)
+        solve = self.likelihood.lowest if afresh and len(weights) else self.likelihood.modes
+        modes, of = solve(natural, torch.from_numpy(z), weights)
         hessian = self.likelihood.expected_hessian(of)
         if self.nodes == 1:
             each = self.likelihood.joint(of, modes) + _log_det(hessian)
         else:
-            parts = [
-                self.likelihood.joint(self.likelihood.at(natural, at, weights), at) for at in self._at(modes, hessian)
-            ]
+            nodes = self._at(modes, hessian)
+            parts = [self.likelihood.joint(self.likelihood.plain(natural, at, weights), at) for at in nodes]
             each = self._quadrature(torch.stack(parts), hessian)
         return Value(each.numpy(), modes.numpy())
 
     def _at(self, modes: Tensor, hessian: Tensor) -> list[Tensor]:
         """The nodes [N, q] around the modes: z* + sqrt(2) C^-T x with H = C C^T."""
-        factor = torch.linalg.cholesky(hessian)
+        # Where H is not finite, the logarithm of its determinant is not a number either, and the point is rejected.
+        found, info = torch.linalg.cholesky_ex(hessian)
+        factor = torch.where((info == 0)[:, None, None], found, torch.eye(hessian.shape[1], dtype=hessian.dtype))
         moved = torch.linalg.solve_triangular(
             factor.transpose(1, 2), self.points.T.expand(len(modes), -1, -1), upper=True
         )
@@ -100,7 +106,7 @@ class Marginal:
         """Minus twice the logarithm of the integral from g at the nodes [nodes, N]."""
         logs = torch.logsumexp(self.log_mass[:, None] - 0.5 * joint, 0)
         # (2 pi)^(-q/2) of z and 2^(q/2) of the change of variables leave pi^(-q/2).
-        return -2 * logs + _log_det(hessian) + self.layout.effects * float(np.log(np.pi))
+        return -2 * logs + _log_det(hessian) + self.likelihood.groups.size * float(np.log(np.pi))
 
     # ---------------------------------------------------------------- derivatives
     def slopes(self, u: Array, weights: Array, z: Array) -> Slopes:
@@ -108,22 +114,23 @@ class Marginal:
         rows = self.rows(u).clone().requires_grad_()
         at, w = torch.from_numpy(z).clone().requires_grad_(), torch.from_numpy(weights).clone().requires_grad_()
         of, _ = self._compared(rows, at, w)
-        likelihood, q = self.likelihood, self.layout.effects
+        likelihood, q = self.likelihood, self.likelihood.groups.size
         gradient = likelihood.half_gradient(of, at)
         log_det = _log_det(likelihood.expected_hessian(of))
         if not q:
             return _slopes(likelihood.joint(of, at).sum(), rows, w)
-        second = torch.stack([_grad(gradient[:, i].sum(), at) for i in range(q)], 1)
+        with by_constants(self.predictions.second):
+            second = torch.stack([_grad(gradient[:, i].sum(), at) for i in range(q)], 1)
+            moved = _grad(log_det.sum(), at) if self.nodes == 1 else at
         if self.nodes > 1:
             return self._quadrature_slopes(rows, w, at.detach(), gradient, second)
-        moved = _grad(log_det.sum(), at)
         direction = torch.linalg.solve(_definite(second, likelihood.expected_hessian(of).detach()), moved[..., None])
         total = likelihood.joint(of, at) + log_det - (direction[..., 0].detach() * gradient).sum(1)
         return _slopes(total.sum(), rows, w)
 
     def _compared(self, rows: Tensor, z: Tensor, weights: Tensor) -> tuple[Compared, Tensor]:
         natural = self.layout.natural(rows)
-        constants, slope = self.layout.constants(natural, z)
+        constants, slope = self.likelihood.individual(natural, z)
         mean, sensitivity = self.predictions.second(constants, weights)
         return self.likelihood.compared(mean, sensitivity, slope, natural), natural
 
@@ -133,51 +140,61 @@ class Marginal:
         of, _ = self._compared(rows, at, w)
         hessian = self.likelihood.expected_hessian(of)
         definite = _definite(second.detach(), hessian.detach())
-        q = self.layout.effects
+        q = self.likelihood.groups.size
         # H as a function of u with the modes moving: its derivatives by z enter through the step of the modes.
         step = -torch.linalg.solve(definite, gradient[..., None])[..., 0]
         by_z = [[_grad(hessian[:, i, j].sum(), at, keep=True) for j in range(q)] for i in range(q)]
         follow = torch.stack([torch.stack([(d.detach() * step).sum(1) for d in row], 1) for row in by_z], 1)
         moving, modes = hessian + follow, z + step
         natural = self.layout.natural(rows)
+        safe = self.likelihood.individual(natural.detach(), z)[0].numpy()
         parts = []
         for node in self._at(modes, moving):
-            constants, slope = self.layout.constants(natural, node)
-            mean = self._first(constants, w)
-            parts.append(
-                self.likelihood.joint(self.likelihood.compared(mean, mean[:, None].expand(-1, q), slope, natural), node)
-            )
+            constants, slope = self.likelihood.individual(natural, node)
+            mean = self._first(constants, w, safe)
+            plain = mean[:, None].expand(-1, self.layout.effects)
+            parts.append(self.likelihood.joint(self.likelihood.compared(mean, plain, slope, natural), node))
         return _slopes(self._quadrature(torch.stack(parts), moving).sum(), rows, w)
 
-    def _first(self, constants: Tensor, weights: Tensor) -> Tensor:
-        """Predictions [m] to first order in constants and weights."""
-        at, owner = constants.detach(), self.likelihood.owner
-        found = self.predictions.individuals.first(at.numpy(), weights.detach().numpy(), of_weights=True)
-        mean = torch.from_numpy(found.mean) + (torch.from_numpy(found.constants) * (constants - at)[owner]).sum(1)
-        return mean + torch.from_numpy(found.weights) @ (weights - weights.detach())
+    def _first(self, constants: Tensor, weights: Tensor, safe: Array) -> Tensor:
+        """Predictions [m] to first order in constants and weights; without derivatives for trajectories whose solution
+        is not bounded there: in their place are those with the constants `safe` [N, K]."""
+        at, owner, w = constants.detach().numpy(), self.likelihood.owner, weights.detach().numpy()
+        individuals = self.predictions.individuals
+        mean = bounded(torch.from_numpy(individuals.mean(at, w)))
+        bad = np.zeros(len(at), dtype=np.bool_)
+        bad[owner[mean.abs() >= FARTHEST].numpy()] = True
+        found = individuals.first(np.where(bad[:, None], safe, at), w, of_weights=True)
+        moved = (torch.from_numpy(found.constants) * (constants - constants.detach())[owner]).sum(1)
+        moved = moved + torch.from_numpy(found.weights) @ (weights - weights.detach())
+        return torch.where(torch.from_numpy(bad)[owner], mean, torch.from_numpy(found.mean) + moved)
 
     # ---------------------------------------------------------------- information
     def information(self, u: Array, weights: Array, z: Array) -> Array:
         """The expected information of (weights, u) [W + P, W + P] of the model linearised at the modes."""
-        layout, likelihood = self.layout, self.likelihood
-        row, modes = torch.from_numpy(u), torch.from_numpy(z)
+        layout, likelihood, measured = self.layout, self.likelihood, self.predictions.measured
         natural = layout.natural(self.rows(u))
         with torch.no_grad():
-            constants, _ = layout.constants(natural, modes)
-            factor = layout.factor(natural)
-            slope = torch.diag_embed(layout.individual(natural, torch.einsum("nij,nj->ni", factor, modes))[1])
+            numbers = likelihood.groups.numbers(torch.from_numpy(z))
+            constants, slope = layout.constants(natural, numbers)
+            deviation = torch.einsum("nij,nj->ni", layout.factor(natural), numbers)
+            by_deviation = layout.individual(natural, deviation)[1].numpy()
         found = self.predictions.individuals.first(constants.numpy(), weights, of_weights=True)
-        of = likelihood.compared(
-            torch.from_numpy(found.mean), torch.from_numpy(found.constants[:, layout.place]), slope, natural
-        )
-        mean = np.concatenate([found.weights, self._mean_slopes(u, modes, found.constants)], 1)
-        spread = self._spread_slopes(row)
-        noise = self._noise_slopes(u, of)
+        sensitivity = found.constants[:, layout.place]
+        of = likelihood.compared(torch.from_numpy(found.mean), torch.from_numpy(sensitivity), slope, natural)
+        mean = np.concatenate([found.weights, self._mean_slopes(u, numbers, found.constants)], 1)
+        variance, noise, further = self._noise_information(u, of)
         logs = likelihood.logs.numpy()
-        mean[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
-        omega = (factor[0] @ factor[0].T).numpy() if len(factor) else np.zeros((layout.effects,) * 2)
-        known = np.flatnonzero(self.predictions.measured.side == 0)  # limits say little: without them it is a bound
-        return _information(self.predictions.measured.owner, mean, of, omega, spread, noise, known)
+        moved = sensitivity * by_deviation[measured.owner]
+        for table in (mean, moved):
+            table[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
+        spread = {
+            p: likelihood.groups.placed(torch.from_numpy(moved @ factor), likelihood.owner).numpy()
+            for p, factor in self._factor_slopes(torch.from_numpy(u)).items()
+        }
+        known = np.flatnonzero(measured.side == 0)  # limits say little: without them it is a bound
+        parts = _Linearised(mean, variance, of.by_z.numpy(), spread, noise, further)
+        return _information(likelihood.unit.numpy(), parts, known)
 
     def _mean_slopes(self, u: Array, z: Tensor, by_constants: Array) -> Array:
         """Derivatives [m, P] of predictions by u at fixed z; spreads and correlations move only the variance."""
@@ -194,64 +211,94 @@ class Marginal:
     def _of_variance(self) -> set[int]:
         """The places in u of spreads and correlations."""
         made = [k.distribution for k in self.layout.distributed if k.distribution is not None]
-        spreads = {self.layout.names[m.spread] for m in made if m.spread is not None}
-        return spreads | set(self.layout.correlations)
+        each = [spread for m in made for spread in (m.spread, *(level.spread for level in m.levels))]
+        return {self.layout.names[name] for name in each if name is not None} | set(self.layout.correlations)
 
-    def _spread_slopes(self, row: Tensor) -> Array:
-        """Derivatives [P, q, q] of the covariance of deviations by u."""
+    def _factor_slopes(self, row: Tensor) -> dict[int, Array]:
+        """Derivatives [q, width] of the factor of deviations by those entries of u that move it."""
+        if not self.layout.effects:
+            return {}
+        found = torch.autograd.functional.jacobian(lambda at: self.layout.factor(self.layout.natural(at)), row)  # type: ignore[no-untyped-call]  # torch does not annotate it
+        table = np.moveaxis(found.numpy(), -1, 0)
+        return {p: one for p, one in enumerate(table) if np.abs(one).any()}
 
-        def covariance(at: Tensor) -> Tensor:
-            factor = self.layout.factor(self.layout.natural(at))
-            return factor @ factor.transpose(-1, -2)
+    def _noise_information(self, u: Array, of: Compared) -> tuple[Array, Array, Array]:
+        """Variances [m] with their derivatives [m, P] at fixed predictions, and roots [m, P] of further information.
 
-        found = torch.autograd.functional.jacobian(covariance, row)  # type: ignore[no-untyped-call]  # torch does not annotate it
-        return np.moveaxis(found.numpy(), -1, 0) if self.layout.effects else np.zeros((len(row), 0, 0))
+        Student's noise is taken as the normal one with the same information of the mean and of the scale; what the
+        degrees of freedom tell beyond the scale is the further information.
+        """
+        likelihood, mean = self.likelihood, of.mean.detach()
+        variance = of.variance.numpy()
+        slopes = self._by_parameters(u, lambda at: likelihood.variance(mean, self.layout.natural(at)))
+        if not likelihood.outliers:
+            return variance, slopes, np.zeros_like(slopes)
+        heavy, freedom = likelihood.heavy.numpy(), of.freedom.detach().numpy()
+        of_freedom = self._by_parameters(u, lambda at: likelihood.freedom(self.layout.natural(at)))
+        scale, own, between = student.of_scale_and_freedom(freedom)
+        same = student.equivalent(variance, freedom)
+        moved = 0.5 * slopes / variance[:, None] + (between / scale)[:, None] * of_freedom
+        relative = np.sqrt(2 * scale)[:, None] * moved
+        further = np.sqrt(np.maximum(own - between**2 / scale, 0.0))[:, None] * of_freedom
+        return (
+            np.where(heavy, same, variance),
+            np.where(heavy[:, None], same[:, None] * relative, slopes),
+            np.where(heavy[:, None], further, 0.0),
+        )
 
-    def _noise_slopes(self, u: Array, of: Compared) -> Array:
-        """Derivatives [m, P] of the variances by u at fixed predictions."""
-        mean = of.mean.detach()
+    def _by_parameters(self, u: Array, function: Callable[[Tensor], Tensor]) -> Array:
+        """Derivatives [m, P] of values [m] of the trajectories' rows of u."""
         rows = self.rows(u).clone().requires_grad_()
-        out = np.zeros((len(mean), len(u)))
-        variance = self.likelihood.variance(mean, self.layout.natural(rows))
-        if not variance.requires_grad:
+        value = function(rows)
+        out = np.zeros((len(value), len(u)))
+        if not value.requires_grad:
             return out
         for p in range(len(u)):
             # Values of one trajectory share its row, so derivatives of each value need one parameter at a time.
             tangent = torch.zeros_like(rows)
             tangent[:, p] = 1.0
-            _, change = torch.autograd.functional.jvp(  # type: ignore[no-untyped-call]  # torch does not annotate it
-                lambda at: self.likelihood.variance(mean, self.layout.natural(at)),
-                rows.detach(),
-                tangent,
-            )
+            _, change = torch.autograd.functional.jvp(function, rows.detach(), tangent)  # type: ignore[no-untyped-call]  # torch does not annotate it
             out[:, p] = change.numpy()
         return out
 
 
-def _information(
-    owner: Integers, mean: Array, of: Compared, omega: Array, spread: Array, noise: Array, known: Integers
-) -> Array:
-    """The sum over trajectories of the values `known` [k]. `mean` [m, W + P], `noise` [m, P] and `spread` [P, q, q] are
-    derivatives of means, variances and the covariance `omega` of deviations, by which `of` has the sensitivities."""
-    total, weights = np.zeros((mean.shape[1],) * 2), mean.shape[1] - noise.shape[1]
-    by_deviation, variance = of.by_z.numpy(), of.variance.numpy()
-    places = np.flatnonzero(np.abs(noise).any(axis=0) | np.abs(spread).reshape(len(spread), -1).any(axis=1))
+@dataclass(frozen=True)
+class _Linearised:
+    """The model that is linear in the standard numbers of a unit, by which means have the derivatives `by_z` [m, size]:
+    `mean` [m, W + P] and `noise` [m, P] are derivatives of means and of the values' `variance` [m], `spread` those of
+    `by_z` by the parameters that move it. `further` [m, P] are roots of information that is not one of variances."""
+
+    mean: Array
+    variance: Array
+    by_z: Array
+    spread: Mapping[int, Array]
+    noise: Array
+    further: Array
+
+
+def _information(owner: Integers, of: _Linearised, known: Integers) -> Array:
+    """The sum over the units `owner` [m] of the values `known` [k]."""
+    noise = of.noise
+    total, weights = np.zeros((of.mean.shape[1],) * 2), of.mean.shape[1] - noise.shape[1]
+    places = sorted({*np.flatnonzero(np.abs(noise).any(axis=0)).tolist(), *of.spread})
     order = known[np.argsort(owner[known], kind="stable")]
     for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
         if not len(rows):
             continue
-        f = by_deviation[rows]
-        inverse = np.linalg.inv(np.diag(variance[rows]) + f @ omega @ f.T)
-        a = mean[rows]
+        f = of.by_z[rows]
+        inverse = np.linalg.inv(np.diag(of.variance[rows]) + f @ f.T)
+        a, left = of.mean[rows], np.diag(inverse) * of.variance[rows]
         total += a.T @ inverse @ a
+        more = left[:, None] * of.further[rows]
+        total[weights:, weights:] += more.T @ more
         parts = {p: np.diag(noise[rows, p]) for p in places}
-        for p in places:
-            if np.abs(spread[p]).any():
-                parts[p] = parts[p] + f @ spread[p] @ f.T
-        moved = {p: inverse @ part for p, part in parts.items()}
+        for p, moved in of.spread.items():
+            across = f @ moved[rows].T
+            parts[p] = parts[p] + across + across.T
+        scaled = {p: inverse @ part for p, part in parts.items()}
         for i, p in enumerate(places):
             for s in places[i:]:
-                value = 0.5 * float(np.sum(moved[p] * moved[s].T))
+                value = 0.5 * float(np.sum(scaled[p] * scaled[s].T))
                 total[weights + p, weights + s] += value
                 if s != p:
                     total[weights + s, weights + p] += value

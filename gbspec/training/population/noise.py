@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gbspec.diagnostics import Defect
-from gbspec.ir import PREDICTION, Expr, Model, Noise
+from gbspec.ir import PREDICTION, Channel, Expr, Model, Noise
 
 LEAST = 1e-150
 """Variances are at least this."""
@@ -62,10 +62,24 @@ def rule_for(noise: Noise) -> bool:
     return noise.value is None or not noise.value.atoms(sympy.Piecewise)
 
 
+def student_noise(channel: Channel) -> bool:
+    """Whether the noise of a channel is Student's."""
+    return channel.noise is not None and channel.noise.kind == "student"
+
+
+def degrees_of_freedom(
+    model: Model, expression: Expr, constants: Mapping[sympy.Symbol, Tensor], like: Tensor
+) -> Tensor:
+    """The degrees of freedom [m] of Student's noise."""
+    known = {c.symbol: like.new_tensor(c.value) for c in model.constants}
+    return evaluated(expression, {**known, **constants}, like).expand_as(like)
+
+
 def standard_deviation(
     model: Model, channel: int, prediction: Tensor, constants: Mapping[sympy.Symbol, Tensor]
 ) -> Tensor:
-    """The standard deviation of measurements of a channel [m], of logarithms under lognormal noise.
+    """The standard deviation of measurements of a channel [m], of logarithms under lognormal noise; the scale of
+    Student's.
 
     `prediction` [m] is in the channel's unit; `constants` has the values [m] of learnables and of what is implied.
     """

@@ -40,14 +40,23 @@ class Objective:
 
     def __init__(self, marginal: Marginal) -> None:
         self.marginal = marginal
+        self._laplace: Objective | None = None
         self.layout: Layout = marginal.layout
         self.priors: list[tuple[int, Prior]] = [
             (place, one.prior) for place, one in enumerate(self.layout.each) if one.prior is not None
         ]
 
-    def at(self, weights: Array, u: Array, z: Array, ridge: float) -> Point:
-        """The objective at a point; infinite where the model cannot be solved."""
-        found = self.marginal.value(u, weights, z)
+    def by_laplace(self) -> Objective:
+        """The same by Laplace's method; itself, if it is that."""
+        if self.marginal.nodes == 1:
+            return self
+        if self._laplace is None:
+            self._laplace = Objective(Marginal(self.layout, self.marginal.predictions))
+        return self._laplace
+
+    def at(self, weights: Array, u: Array, z: Array, ridge: float, afresh: bool = False) -> Point:
+        """The objective at a point; infinite where the model cannot be solved. `afresh`: as for `Marginal.value`."""
+        found = self.marginal.value(u, weights, z, afresh)
         total = found.total if np.isfinite(found.total) else float("inf")
         penalty = float((self._standardised(torch.from_numpy(u)) ** 2).sum()) + ridge * float(weights @ weights)
         return Point(weights, u, total + penalty, total, found.z)

@@ -2,6 +2,8 @@
 
 The pooled model has the medians in place of the constants, 0 in place of effects, and no spreads; its least squares
 give the medians and the weights from which the marginal likelihood is maximised, and its residuals the first noises.
+With networks, effects are estimated for each trajectory, with a standard normal prior: where a network does not depend
+on its effect, the marginal likelihood has by symmetry no slope along that dependence, and would never find it.
 """
 
 from __future__ import annotations
@@ -21,18 +23,25 @@ from gbspec.training.problem import Parameters
 INNER = "inner."
 NOTHING = 1e-9
 """The pooled value of an effect lies within this of 0."""
+FAR = 4.0
+"""The effects of single trajectories, arguments of networks, lie within this of 0."""
 OF_RESIDUALS = 0.7
 """The first noise, as a part of the root mean square residual of the pooled fit, which contains the spreads too."""
 
 
 def pooled_model(model: Model) -> Model:
     """The model in which all trajectories have the same constants."""
-    return replace(model, learnables=tuple(map(_pooled, model.learnables)), implied=(), correlated=())
+    return replace(
+        model, learnables=tuple(_pooled(k, bool(model.networks)) for k in model.learnables), implied=(), correlated=()
+    )
 
 
-def _pooled(learnable: Learnable) -> Learnable:
+def _pooled(learnable: Learnable, networks: bool) -> Learnable:
     if learnable.distribution is None:
         return learnable
+    if learnable.distribution.kind == "standard" and networks:
+        prior = Prior("normal", 0.0, 1.0)
+        return replace(learnable, distribution=None, range=Range(-FAR, FAR), prior=prior)
     if learnable.distribution.kind == "standard":
         prior, bounds = Prior("normal", 0.0, NOTHING), Range(-NOTHING, NOTHING)
         return replace(learnable, per_trajectory=False, distribution=None, range=bounds, prior=prior)
@@ -87,7 +96,8 @@ class Pooled:
         out = before.copy()
         out[: whole.n_weights] = pooled[: whole.n_weights]
         with torch.no_grad():
-            values = own.constants(torch.from_numpy(pooled)).numpy()[0, len(whole.model.constants) :]
+            each = own.constants(torch.from_numpy(pooled)).numpy()[:, len(whole.model.constants) :]
+        values = each[0]
         known = dict(zip((k.name for k in whole.model.learnables), values, strict=True))
         noises = self._noises(pooled)
         first = {k.name: k.start for k in self.layout.each}
@@ -106,8 +116,7 @@ class Pooled:
         out[self.layout.slice()] = self.layout.bijections.from_natural(natural)
         if whole.own:
             local = out[whole.n_shared :].reshape(whole.trajectories, whole.n_local)
-            individual = np.array([values[i] for i in whole.own])
-            local[:, : len(whole.own)] = whole.bijections(whole.own).from_natural(individual)
+            local[:, : len(whole.own)] = whole.bijections(whole.own).from_natural(each[:, list(whole.own)].copy())
         return out
 
     def _noises(self, pooled: Array) -> dict[str, float]:

@@ -14,16 +14,20 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.training.population import student
+from gbspec.training.population.discrepancies import prediction_errors
+from gbspec.training.population.groups import Groups
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared
 from gbspec.training.population.objective import Objective, Point
+from gbspec.training.population.predictions import Measured
 from gbspec.training.problem import Integers
 
 QUANTILE = 1.645
 """Half the width of a 90 % interval of a normal distribution, in standard deviations."""
 BINS = 10
 """Most intervals of time in which a predictive check compares quantiles."""
-REPLICATES, MOST = 300, 3_000_000
+REPLICATES, MOST = 500, 10_000_000
 """Simulated data sets of a predictive check, and the most values in all of them."""
 LEVELS = (0.05, 0.5, 0.95)
 """The quantiles that a predictive check compares."""
@@ -49,9 +53,9 @@ class Estimates:
 class PopulationResult:
     """The result at a point; arrays are those of `Measured` and of the distributed constants, in their order.
 
-    `individual` [N, q] and `individual_sd` the constants of each trajectory; `deviations` [N, q] in units of the
-    spreads; `table` [m, ...] by name: the population's and the trajectory's own predictions, and residuals. `used` is
-    the number of parameters, of weights the effective one.
+    `individual` [N, q] and `individual_sd` the constants of each trajectory; `deviations` [N, width] in units of the
+    spreads, those of levels last, and their `shrinkage` [width]; `table` [m, ...] by name: the population's and the
+    trajectory's own predictions, and residuals. `used` is the number of parameters, of weights the effective one.
     """
 
     point: Point
@@ -69,24 +73,25 @@ class PopulationResult:
 
 def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: float) -> PopulationResult:
     """Everything at a point, whose modes are found from `z`."""
-    point = objective.at(weights, u, z, ridge)
+    point = objective.at(weights, u, z, ridge, afresh=True)
     layout, likelihood = objective.layout, objective.marginal.likelihood
     curvature = objective.curvature(point, ridge) / 2
     covariance = _inverse(curvature)
-    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.count, -1))
+    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     modes = torch.from_numpy(point.z)
     of = likelihood.at(natural, modes, weights)
     with torch.no_grad():
-        constants, slope = layout.constants(natural, modes)
+        numbers = likelihood.groups.numbers(modes)
+        constants, slope = layout.constants(natural, numbers)
         factor = layout.correlation_factor(natural)
-        deviations = torch.einsum("nij,nj->ni", factor, modes).numpy()
+        own = torch.einsum("nij,nj->ni", factor, numbers[:, : layout.effects])
+        deviations = torch.cat([own, numbers[:, layout.effects :]], 1).numpy()
         correlation = (factor[0] @ factor[0].T).numpy() if layout.effects else np.zeros((0, 0))
-    posterior = np.linalg.inv(likelihood.expected_hessian(of).numpy())
+    posterior = likelihood.groups.of_trajectories(np.linalg.inv(likelihood.expected_hessian(of).numpy()))
     spread = np.sqrt(np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy()))
     count = len(weights)
     information = objective.curvature(point, 0.0) / 2
     used = float(np.trace(covariance[:count, :count] @ information[:count, :count])) if count else 0.0
-    shrinkage = 1 - deviations.std(axis=0, ddof=1) if len(deviations) > 1 else np.full(layout.effects, np.nan)
     return PopulationResult(
         point,
         ridge,
@@ -95,11 +100,21 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         constants.numpy()[:, layout.place],
         spread,
         deviations,
-        shrinkage,
+        _shrinkage(likelihood.groups, deviations),
         np.sqrt(of.variance.numpy()),
         _table(objective, point, of),
         used + len(point.u),
     )
+
+
+def _shrinkage(groups: Groups, deviations: Array) -> Array:
+    """One minus the standard deviation of the modes [N, width], of shared ones each counted once; NaN for one alone."""
+    out = np.full(deviations.shape[1], np.nan)
+    for k, column in enumerate(deviations.T):
+        _, first = np.unique(np.stack([groups.unit, groups.slot[:, k]]), axis=1, return_index=True)
+        if len(first) > 1:
+            out[k] = 1 - column[first].std(ddof=1)
+    return out
 
 
 def _inverse(matrix: Array) -> Array:
@@ -129,40 +144,52 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
     """Predictions and residuals of every measured value."""
     layout, likelihood = objective.layout, objective.marginal.likelihood
     predictions = objective.marginal.predictions
-    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.count, -1))
+    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     with torch.no_grad():
-        typical = layout.constants(natural, torch.zeros_like(torch.from_numpy(point.z)))[0].numpy()
+        typical = likelihood.individual(natural, torch.zeros_like(torch.from_numpy(point.z)))[0].numpy()
     population = predictions.individuals.mean(typical, point.weights)
-    owner, residual = predictions.measured.owner, -of.residual.numpy()
+    unit, residual = likelihood.unit.numpy(), -of.residual.numpy()
+    heavy, freedom = likelihood.heavy.numpy(), of.freedom.numpy()
     by_z, variance = of.by_z.numpy(), of.variance.numpy()
-    weighted = np.full(len(owner), np.nan)
+    own = residual / np.sqrt(variance)
+    own[heavy] = student.normal_quantile(own[heavy], freedom[heavy])
+    variance = np.where(heavy, student.equivalent(variance, freedom), variance)
+    weighted = np.full(len(unit), np.nan)
     known = np.flatnonzero(predictions.measured.side == 0)  # a limit has no residual
-    order = known[np.argsort(owner[known], kind="stable")]
-    for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
+    order = known[np.argsort(unit[known], kind="stable")]
+    for rows in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
         if not len(rows):
             continue
         f = by_z[rows]
         values, vectors = np.linalg.eigh(np.diag(variance[rows]) + f @ f.T)
         root = vectors @ np.diag(1 / np.sqrt(np.maximum(values, 1e-300))) @ vectors.T
-        weighted[rows] = root @ (residual[rows] + f @ point.z[owner[rows[0]]])
+        weighted[rows] = root @ (residual[rows] + f @ point.z[unit[rows[0]]])
     logs = predictions.measured.logarithm
     return {
         "value": np.where(logs, np.exp(predictions.measured.value), predictions.measured.value),
         "individual": np.where(logs, np.exp(of.mean.numpy()), of.mean.numpy()),
         "population": population,
         "cwres": weighted,
-        "iwres": np.where(predictions.measured.side == 0, residual / np.sqrt(variance), np.nan),
+        "iwres": np.where(predictions.measured.side == 0, own, np.nan),
     }
 
 
-def predictive_check(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
+def simulated_tables(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
+    """What simulated data sets tell: a visual predictive check, and prediction errors of every value (`npde`)."""
+    measured = objective.marginal.predictions.measured
+    simulated = simulate(objective, point, seed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        compared = np.where(measured.logarithm, np.log(simulated), simulated)
+    errors = prediction_errors(measured.owner, measured.value, compared, measured.side == 0)
+    return {**predictive_check(measured, simulated, times), "npde": errors}
+
+
+def predictive_check(measured: Measured, simulated: Array, times: Array) -> dict[str, Array]:
     """Quantiles of measured and of simulated values by channel and interval of time: a visual predictive check.
 
     Rows are [channel, first time, middle, last time, measured quantiles, and for each of these the 5, 50 and 95 %
     quantile of the simulated ones]; simulated data sets have the trajectories, times and conditions of the data.
     """
-    measured = objective.marginal.predictions.measured
-    simulated = simulate(objective, point, seed)
     value = np.where(measured.logarithm, np.exp(measured.value), measured.value)
     rows = []
     for channel in np.unique(measured.channel):
@@ -193,14 +220,17 @@ def simulate(objective: Objective, point: Point, seed: int) -> Array:
     layout, likelihood = objective.layout, objective.marginal.likelihood
     predictions, rng = objective.marginal.predictions, np.random.default_rng([seed, 67])
     count = max(20, min(REPLICATES, MOST // max(len(likelihood.value), 1)))
-    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.count, -1))
+    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     out = np.full((count, len(likelihood.value)), np.nan)
     for i in range(count):
-        z = torch.from_numpy(rng.standard_normal((likelihood.count, layout.effects)))
+        z = torch.from_numpy(rng.standard_normal((likelihood.count, likelihood.groups.size)))
         with torch.no_grad():
-            constants, slope = layout.constants(natural, z)
+            constants, slope = likelihood.individual(natural, z)
         mean = torch.from_numpy(predictions.individuals.mean(constants.numpy(), point.weights))
         of = likelihood.compared(mean, mean.new_zeros((len(mean), layout.effects)), slope, natural)
-        drawn = of.mean.numpy() + np.sqrt(of.variance.numpy()) * rng.standard_normal(len(mean))
+        error = rng.standard_normal(len(mean))
+        heavy = likelihood.heavy.numpy()
+        error[heavy] = student.draw(of.freedom.numpy()[heavy], rng)
+        drawn = of.mean.numpy() + np.sqrt(of.variance.numpy()) * error
         out[i] = np.where(likelihood.logs.numpy(), np.exp(np.minimum(drawn, 700)), drawn)
     return out

@@ -13,7 +13,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.training.optimise import Outcome, State
-from gbspec.training.population.layout import Layout
+from gbspec.training.population.likelihood import Likelihood
 from gbspec.training.population.objective import Objective, Point
 from gbspec.training.problem import Parameters
 
@@ -23,23 +23,29 @@ Failure: TypeAlias = Callable[[Array], Exception]
 FALL = 1e-9
 """The stage has converged when the fall of -2 log L that the next step promises is below this, absolutely or as a part
 of the objective; the square root of this is about the error of a parameter in its standard deviations."""
-SLOW, TIMES = 0.05, 3
+FALL_OF_QUADRATURE = 1e-8
+"""The same by quadrature, whose steps cost far more: the information is that of Laplace's method, so that they shrink
+by a constant factor."""
+SLOW, TIMES = 0.2, 2
 """Where networks are learned, whose weights move along long flat valleys, the stage ends when the objective has fallen
-by less than this so many times in a row: a twentieth of what one parameter without effect changes by chance."""
+by less than this so many times in a row: a fifth of what one parameter without effect changes by chance."""
+OFTEN = 5
+"""With networks the modes are sought from several starts in every so many iterations."""
 TRIALS = 14
 """Damped steps that are tried in one iteration."""
 LONGEST = 0.7
 """No parameter moves further than this in one step: a factor of e^2."""
 
 
-def vector_of(parameters: Parameters, layout: Layout, weights: Array, u: Array, z: Array) -> Array:
-    """The trainable vector with individual constants at the modes."""
+def vector_of(parameters: Parameters, likelihood: Likelihood, weights: Array, u: Array, z: Array) -> Array:
+    """The trainable vector with individual constants at the modes z [units, size]."""
+    layout = likelihood.layout
     theta = np.zeros(parameters.size)
     theta[: parameters.n_weights], theta[layout.slice()] = weights, u
     if parameters.own:
         with torch.no_grad():
             natural = layout.natural(torch.from_numpy(u)).expand(parameters.trajectories, -1)
-            constants = layout.constants(natural, torch.from_numpy(z))[0].numpy()
+            constants = likelihood.individual(natural, torch.from_numpy(z))[0].numpy()
         local = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
         local[:, : len(parameters.own)] = parameters.bijections(parameters.own).from_natural(
             constants[:, list(parameters.own)]
@@ -47,32 +53,47 @@ def vector_of(parameters: Parameters, layout: Layout, weights: Array, u: Array, 
     return theta
 
 
+def modes_of(parameters: Parameters, likelihood: Likelihood, theta: Array) -> Array:
+    """The standard numbers [units, size] of the individual constants in a trainable vector: where modes are sought
+    first."""
+    layout = likelihood.layout
+    with torch.no_grad():
+        known = len(parameters.model.constants)
+        individual = parameters.constants(torch.from_numpy(theta))[:, known:][:, layout.place]
+        natural = layout.natural(torch.from_numpy(theta[layout.slice()])).expand(parameters.trajectories, -1)
+        return likelihood.groups.together(layout.numbers(natural, individual).numpy())
+
+
 class MarginalLikelihood:
-    """The stage. `objective_at` is built when it is first needed: it compiles a larger model."""
+    """The stage. By quadrature it begins with the maximum of Laplace's method, from which few steps are left."""
 
     def __init__(
         self, name: str, total: int, parameters: Parameters, objective: Objective, ridge: float | None, failure: Failure
     ) -> None:
         self.name, self.total, self.parameters = name, total, parameters
-        self.objective, self.failure = objective, failure
-        self.layout = objective.layout
+        self.whole, self.failure = objective, failure
+        self.objective = objective.by_laplace()
+        self.layout, self.likelihood = objective.layout, objective.marginal.likelihood
         # None: the ridge of greatest evidence.
         self.ridge = ridge
 
     def begin(self, theta: Array) -> State:
-        """The state at a vector, whose individual constants are not used: the modes are found from the medians."""
-        z = np.zeros((self.parameters.trajectories, self.layout.effects))
+        """The state at a vector; the modes are found from its individual constants."""
+        z = modes_of(self.parameters, self.likelihood, theta)
         first = 1.0 if self.ridge is None else self.ridge
         ridge = first if self.parameters.n_weights else 0.0
-        return {"theta": theta, "z": z, "damping": np.array(1e-3), "ridge": np.array(ridge), "slow": np.array(0.0)}
+        state: State = {"theta": theta, "z": z, "damping": np.array(1e-3), "ridge": np.array(ridge)}
+        return state | {"slow": np.array(0.0), "quadrature": np.array(0.0)}
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One damped step. Raises ComputationError where the model cannot be solved at the present vector."""
+        of_quadrature = bool(state.get("quadrature", 0.0))
+        self.objective = self.whole if of_quadrature else self.whole.by_laplace()
         theta, ridge, damping = state["theta"], float(state["ridge"]), float(state["damping"])
         weights, u = theta[: self.parameters.n_weights], theta[self.layout.slice()]
-        now = self.objective.at(weights, u, state["z"], ridge)
+        now = self.objective.at(weights, u, state["z"], ridge, afresh=iteration % OFTEN == 0)
         if not np.isfinite(now.objective):
-            raise self.failure(vector_of(self.parameters, self.layout, weights, u, 0 * state["z"]))
+            raise self.failure(vector_of(self.parameters, self.likelihood, weights, u, 0 * state["z"]))
         if self.parameters.n_weights and self.ridge is None:
             ridge = self.objective.evident_ridge(now, ridge)
             now = Point(weights, u, now.minus2ll + self._penalty(now, ridge), now.minus2ll, now.z)
@@ -81,10 +102,13 @@ class MarginalLikelihood:
         new, promised, damping = self._trial(now, gradient, curvature, ridge, damping)
         fell = now.objective - new.objective
         slow = float(state["slow"]) + 1 if self.parameters.n_weights and fell < SLOW else 0.0
-        last = promised < FALL * (1 + abs(now.objective)) or slow >= TIMES or new is now
-        moved = vector_of(self.parameters, self.layout, new.weights, new.u, new.z)
+        enough = FALL_OF_QUADRATURE if of_quadrature else FALL
+        last = promised < enough * (1 + abs(now.objective)) or slow >= TIMES or new is now
+        moved = vector_of(self.parameters, self.likelihood, new.weights, new.u, new.z)
         reached: State = {"theta": moved, "z": new.z, "damping": np.array(damping), "ridge": np.array(ridge)}
-        reached["slow"] = np.array(slow)
+        reached["slow"], reached["quadrature"] = np.array(slow), np.array(float(of_quadrature or last))
+        if last and not of_quadrature and self.whole is not self.objective:
+            reached["damping"], last = np.array(1e-3), False
         values = max(int(self.objective.marginal.predictions.problem.seen.sum()), 1)
         return Outcome(reached, new.objective / (2 * values), last, "", f"-2 log likelihood {new.minus2ll:.6g}")
 

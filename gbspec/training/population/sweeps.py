@@ -6,6 +6,8 @@ trajectories at once. Derivatives are exact: those of the steps taken.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -36,11 +38,15 @@ class Sweeps:
         self.times = 1 + len(distributed)
         count = packed.trajectories
         self.maps = {
-            name: getattr(self.functions, name).map(count) for name in ("start", "start_back", "step", "step_back")
+            name: getattr(self.functions, name).map(count)
+            for name in ("start", "start_back", "step", "step_back", "step_back_constants")
         }
         self.rows = packed.rows
         self.observe = self.functions.observe.map(packed.rows)
         self.observe_back = self.functions.observe_back.map(packed.rows)
+        self.observe_back_constants = self.functions.observe_back_constants.map(packed.rows)
+        # Derivatives by the constants alone are asked for most often, and cost a fraction of those by all weights.
+        self.of_layers = True
         self.start = parameters.start_value.T
         self.condition = packed.condition.T
         path: Path = path_of(packed, packed.doses.time + np.zeros_like(packed.doses.time))
@@ -95,20 +101,28 @@ class Sweeps:
     def back(
         self, constants: Array, layers: Array, states: list[Array], at: Array, cotangent: Array
     ) -> tuple[Array, Array]:
-        """Cotangents of constants [N, K] and layers from those of channels and their derivatives [R, ...]."""
+        """Cotangents of constants [N, K] and layers (zero, if they are not asked for) from those of channels and their
+        derivatives [R, ...]."""
         packed, k = self.problem.packed, self._constants(constants)
-        of_rows, of_k, of_layers = map(np.array, self.observe_back(at, *self._rows(k), layers, cotangent.T))
-        total_k, total = np.zeros_like(k), _summed(of_layers, len(layers))
+        total = np.zeros(len(layers))
+
+        def found(which: str, *given: Array) -> tuple[Array, Array]:
+            """The cotangents of states and constants; those of the layers are added up."""
+            maps = {**self.maps, "observe_back": self.observe_back}
+            maps["observe_back_constants"] = self.observe_back_constants
+            parts = maps[which if self.of_layers else f"{which}_constants"](*given)
+            if self.of_layers:
+                total[:] += _summed(np.array(parts[2]), len(layers))
+            return np.array(parts[0]), np.array(parts[1])
+
+        of_rows, of_k = found("observe_back", at, *self._rows(k), layers, cotangent.T)
+        total_k = np.zeros_like(k)
         np.add.at(total_k.T, packed.row_trajectory, of_k.T)
         state = np.zeros_like(states[0])
         for s in range(packed.depth, -1, -1):
             if s < packed.depth:
-                state, by_k, by_layers = map(
-                    np.array,
-                    self.maps["step_back"](states[s], *self._step(s), self.condition, k, layers, state),
-                )
+                state, by_k = found("step_back", states[s], *self._step(s), self.condition, k, layers, state)
                 total_k += by_k
-                total += _summed(by_layers, len(layers))
             here = np.flatnonzero(packed.row_step == s)
             np.add.at(state.T, packed.row_trajectory[here], of_rows[:, here].T)
         total_k += np.array(self.maps["start_back"](self.start, self.condition, k, state))
@@ -132,6 +146,19 @@ def _amounts(problem: Problem, path: Path) -> Array:
     here = np.flatnonzero(path.step >= 0)
     np.add.at(out, (path.step[here], doses.kind[here], doses.owner[here]), doses.amount[here])
     return out
+
+
+@contextmanager
+def by_constants(second: object) -> Iterator[None]:
+    """Derivatives of the predictions are by the constants alone: those by the weights are wrong."""
+    if not isinstance(second, Sweeps):
+        yield
+        return
+    second.of_layers = False
+    try:
+        yield
+    finally:
+        second.of_layers = True
 
 
 class _Sweep(torch.autograd.Function):

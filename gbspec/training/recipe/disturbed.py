@@ -55,8 +55,8 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
 
 
 def check_limits(model: Model, data: Trajectories) -> list[str]:
-    """A remark for channels with limits whose noise is not known. Raises UserError (GB784) for limits of a model with
-    disturbances."""
+    """A remark for channels with limits whose noise is not known. Raises UserError for limits of a model with
+    disturbances (GB784), or under Student's noise (GB785)."""
     limited = np.zeros(len(model.channels), dtype=bool)
     for item in data.items:
         limited |= (item.censored.side != 0).any(axis=0)
@@ -65,6 +65,11 @@ def check_limits(model: Model, data: Trajectories) -> list[str]:
         message = f"`{name}` has censored values, which are not offered together with `diffusion`"
         help = "leave these cells empty, or leave out the diffusions"
         raise UserError([Diagnostic("GB784", message, None, help=help)])
+    for i, channel in enumerate(model.channels):
+        if limited[i] and channel.noise is not None and channel.noise.kind == "student":
+            message = f"`{channel.name}` has censored values, which are not offered together with `noise student`"
+            help = "write `noise normal(…)`, or leave these cells empty"
+            raise UserError([Diagnostic("GB785", message, channel.span, help=help)])
     unknown = limited & unstated(model, data) & np.array([c.noise is None for c in model.channels], dtype=bool)
     names = ", ".join(f"`{model.channels[int(i)].name}`" for i in np.flatnonzero(unknown))
     if not names:

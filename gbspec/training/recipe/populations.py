@@ -12,12 +12,14 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.engines import explain_failure
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Stage
 from gbspec.training.population import (
+    Groups,
     Layout,
     Marginal,
     MarginalLikelihood,
     Objective,
     Pooled,
     Predictions,
+    modes_of,
     pooled_parameters,
 )
 from gbspec.training.problem import Parameters
@@ -27,6 +29,8 @@ from gbspec.training.recipe.planned import Planned, Reached, step_fraction
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
+MOST_NODES = 50_000
+"""The most nodes of a quadrature over all deviations of a unit."""
 SHOWS, SHOWS_WITH_NETWORKS = 0.02, 0.5
 """The step is halved where that changes -2 log likelihood by more than this."""
 
@@ -36,7 +40,13 @@ def marginal_objective(context: Context, parameters: Parameters, fraction: float
     layout = Layout(parameters)
     names = tuple(k.name for k in layout.distributed)
     predictions = Predictions(context.problem(0.0, fraction), parameters, context.choice, names)
-    return Objective(Marginal(layout, predictions, context.options.quadrature))
+    size, nodes = Groups.of(layout, predictions.problem.packed.condition).size, context.options.quadrature
+    if nodes > 1 and nodes**size > MOST_NODES:
+        solutions = f"{float(nodes) ** size:.1g}"
+        message = f"quadrature with {nodes} nodes in each of {size} dimensions takes {solutions} solutions"
+        help = "leave `--quadrature` out: Laplace's method takes one; groups of trajectories count together"
+        raise UserError([Diagnostic("GB787", message, None, help=help)])
+    return Objective(Marginal(layout, predictions, nodes))
 
 
 def check_starts(context: Context) -> None:
@@ -74,7 +84,7 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
 
     def least_squares(reached: Reached) -> Stage:
         engine = context.engine(pooled, 0.0)
-        options = replace(regular(reached.theta), tolerance=1e-3)
+        options = replace(regular(reached.theta), tolerance=1e-3, evidence=False)
         total = most_iterations(StageName.POOLED, effort)
         inner = LevenbergMarquardt(StageName.POOLED.value, total, lambda iteration: engine, options)
         return Pooled(inner, engine, parameters)
@@ -122,5 +132,5 @@ def _ridge(context: Context) -> float | None:
 def _at(objective: Objective, parameters: Parameters, reached: Reached) -> float:
     """Minus twice the log likelihood at what has been reached."""
     theta, layout = reached.theta, objective.layout
-    z = np.zeros((parameters.trajectories, layout.effects))
-    return objective.at(theta[: parameters.n_weights], theta[layout.slice()], z, 0.0).minus2ll
+    z = modes_of(parameters, objective.marginal.likelihood, theta)
+    return objective.at(theta[: parameters.n_weights], theta[layout.slice()], z, 0.0, afresh=True).minus2ll

@@ -9,8 +9,8 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.runs import EffectRecord, ObjectiveRecord, PopulationRecord, PopulationTables
-from gbspec.training.population import Objective, PopulationResult, predictive_check, result_at
+from gbspec.runs import EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
+from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.summary import MemberResult
@@ -32,8 +32,8 @@ def with_population(
     """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates."""
     objective = marginal_objective(context, parameters, fraction)
     layout = objective.layout
-    zero = np.zeros((parameters.trajectories, layout.effects))
-    found = result_at(objective, theta[: parameters.n_weights], theta[layout.slice()], zero, ridge)
+    modes = modes_of(parameters, objective.marginal.likelihood, theta)
+    found = result_at(objective, theta[: parameters.n_weights], theta[layout.slice()], modes, ridge)
     known, own = found.estimates, [k.name for k in context.model.learnables if k.per_trajectory]
     constants, sd = dict(result.constants), dict(result.sd)
     for learnable in context.model.learnables:
@@ -56,19 +56,34 @@ def with_population(
         own_sd=found.individual_sd[:, pick],
         noise=_noise(context, found, objective),
     )
+    tables = _tables(context, found, objective)
     return made_result, Described(
-        _record(context, found, objective),
+        replace(_record(context, found, objective), npde=_errors(context, tables)),
         _objective(found, objective),
-        _tables(context, found, objective),
+        tables,
         _info(objective, found),
     )
 
 
+def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecord]:
+    """The tests of prediction errors, channel by channel."""
+    out = {}
+    for i, channel in enumerate(context.model.channels):
+        found = examined(tables.arrays["npde"][tables.arrays["channel"] == i])
+        if found is not None:
+            out[channel.name] = ErrorsRecord(found.n, found.mean, found.variance, found.p)
+    return out
+
+
 def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
-    """What the weights file says of the distribution: the names, and the factor B of the deviations' covariance."""
+    """What the weights file says of the distribution: the names, and the factor B of the deviations' covariance, in
+    which those of groups are part: further trajectories belong to unseen groups."""
     layout = objective.layout
     with torch.no_grad():
         factor = layout.factor(layout.natural(torch.from_numpy(found.point.u))).numpy()
+    if layout.levels:
+        values, vectors = np.linalg.eigh(factor @ factor.T)
+        factor = vectors * np.sqrt(np.maximum(values, 0.0))
     return {"names": [k.name for k in layout.distributed], "factor": factor.tolist()}
 
 
@@ -89,21 +104,7 @@ def _noise(context: Context, found: PopulationResult, objective: Objective) -> d
 
 
 def _record(context: Context, found: PopulationResult, objective: Objective) -> PopulationRecord:
-    known, effects = found.estimates, {}
-    for k, learnable in enumerate(objective.layout.distributed):
-        made = learnable.distribution
-        assert made is not None
-        median = known.at(made.median) if made.median else None
-        spread = known.at(made.spread) if made.spread is not None else None
-        effects[learnable.name] = EffectRecord(
-            0.0 if median is None else float(known.value[median]),
-            made.fixed if spread is None else float(known.value[spread]),
-            None if median is None else _interval(known.low[median], known.high[median]),
-            finite(float(found.shrinkage[k])),
-            made.kind,
-            None if median is None else finite(float(known.sd[median])),
-            None if spread is None else _interval(known.low[spread], known.high[spread]),
-        )
+    effects = _effects(objective, found)
     names = [learnable.name for learnable in objective.layout.distributed]
     correlations = {
         a: {b: float(found.correlation[i, j]) for j, b in enumerate(names) if j != i and found.correlation[i, j] != 0}
@@ -120,6 +121,32 @@ def _record(context: Context, found: PopulationResult, objective: Objective) -> 
         objective.marginal.nodes,
         found.ridge if context.model.networks else None,
     )
+
+
+def _effects(objective: Objective, found: PopulationResult) -> dict[str, EffectRecord]:
+    """The distributions: the first grouping of a constant has its name, further ones `NAME per COLUMN`."""
+    known, out, layout = found.estimates, {}, objective.layout
+    for k, learnable in enumerate(layout.distributed):
+        made = learnable.distribution
+        assert made is not None
+        levels = [(layout.effects + e, level) for e, (place, level) in enumerate(layout.levels) if place == k]
+        groups = [(k, "trajectory", made.spread, made.fixed)] if made.spread or made.fixed or not levels else []
+        groups += [(e, level.column, level.spread, level.fixed) for e, level in levels]
+        median = known.at(made.median) if made.median else None
+        for number, column, name, fixed in groups:
+            spread = known.at(name) if name is not None else None
+            key = f"{learnable.name} per {column}" if learnable.name in out else learnable.name
+            out[key] = EffectRecord(
+                0.0 if median is None else float(known.value[median]),
+                fixed if spread is None else float(known.value[spread]),
+                None if median is None else _interval(known.low[median], known.high[median]),
+                finite(float(found.shrinkage[number])),
+                made.kind,
+                None if median is None else finite(float(known.sd[median])),
+                None if spread is None else _interval(known.low[spread], known.high[spread]),
+                per=column,
+            )
+    return out
 
 
 def _interval(low: float, high: float) -> tuple[float, float] | None:
@@ -150,5 +177,5 @@ def _tables(context: Context, found: PopulationResult, objective: Objective) -> 
         "time": times,
         "deviations": found.deviations,
     }
-    arrays |= predictive_check(objective, found.point, times, context.seed)
+    arrays |= simulated_tables(objective, found.point, times, context.seed)
     return PopulationTables(arrays, tuple(problem.packed.labels))

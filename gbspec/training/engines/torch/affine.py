@@ -38,13 +38,13 @@ def _refuse(*_: object) -> NoReturn:
     raise NotAffineError("a right-hand side is not affine")
 
 
-_known: dict[type[GeneratedModule], bool] = {}
+_known: dict[tuple[type[GeneratedModule], frozenset[str]], bool] = {}
 
 
 def affine_by_model(model: Model, module: GeneratedModule) -> bool:
-    """Whether a model's right-hand side is affine; decided once per generated class, of which `module` is an
-    instance."""
-    key = type(module)
+    """Whether a model's right-hand side is affine; decided once for each generated class, of which `module` is an
+    instance, and for the constants that differ between trajectories: a population makes all of them free."""
+    key = type(module), frozenset(k.name for k in model.learnables if k.per_trajectory)
     if key not in _known:
         _known[key] = is_affine(model)
     return _known[key]

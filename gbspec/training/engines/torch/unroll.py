@@ -101,7 +101,8 @@ class Motion:
         ]
         self.deliveries = Deliveries.of(problem, schedule.condition, self._constants)
         self._affine: Affine | None = None
-        if not problem.model.events and not problem.model.delays and affine_by_model(problem.model, problem.module):
+        plain = not problem.model.events and not problem.model.delays
+        if plain and affine_by_model(parameters.model, problem.module):
             ops = torch_arithmetic(problem.module)
             self._affine = affine(problem.module, ops, schedule.condition, self._constants, networks)
 

@@ -1,0 +1,126 @@
+"""Constants that differ between groups of trajectories: against closed forms, derivatives, and fits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gbspec.analysis import Individuals, simulate
+from gbspec.data import SimulateOptions, Trajectories
+from gbspec.diagnostics import Findings, UserError
+from gbspec.ir import Model
+from gbspec.operations import models, tables
+from gbspec.training import TrainOptions, train
+from gbspec.training.population import Groups
+from tests.training.test_populations import DECAY, LEVEL, marginal_of, model_of
+
+NESTED = LEVEL.replace("~ normal(s)", "~ normal(s) per strain ~ normal(w)\nlearn w = 0.8 > 0")
+ALONE = LEVEL.replace("per trajectory ~ normal(s)", "per strain ~ normal(s)")
+DECAYS = DECAY.replace("learn x0 = 2 in [0.1, 20]", "learn x0 = 2 in [0.1, 20] per strain ~ lognormal(0.4)")
+STRAINS, SUBJECTS, TIMES = 6, 4, 4
+
+
+def strains(folder: Path, text: str, site: bool = False) -> tuple[Model, Trajectories, np.ndarray]:
+    """A model and data of six strains with four trajectories each, values [24, 4]."""
+    random = np.random.default_rng(0)
+    level = 5 + 1.2 * random.standard_normal((STRAINS, 1, 1)) + 0.7 * random.standard_normal((STRAINS, SUBJECTS, 1))
+    values = (level + 0.4 * random.standard_normal((STRAINS, SUBJECTS, TIMES))).reshape(-1, TIMES)
+    if text == DECAYS:
+        values = 2 * np.exp(0.1 * (values - 5) - 0.5 * np.arange(TIMES))
+    rows = ["trajectory,t,x,strain" + (",site" if site else "")]
+    for i, row in enumerate(values.tolist()):
+        more = f",{i % 3}" if site else ""
+        rows += [f"{i},{t},{y!r},{1 + i // SUBJECTS}{more}" for t, y in enumerate(row)]
+    (folder / "data.csv").write_text("\n".join(rows) + "\n")
+    model = model_of(text, folder)
+    return model, tables.read_data(folder / "data.csv", model, Findings()), values
+
+
+def exact(values: np.ndarray, between_strains: float, between: float, noise: float) -> float:
+    """Minus twice the log likelihood with the mean 5."""
+    n = SUBJECTS * TIMES
+    covariance = between_strains**2 * np.ones((n, n)) + noise**2 * np.eye(n)
+    covariance += between**2 * np.kron(np.eye(SUBJECTS), np.ones((TIMES, TIMES)))
+    off = values.reshape(STRAINS, n) - 5
+    squares = np.einsum("si,ij,sj->", off, np.linalg.inv(covariance), off)
+    return float(off.size * np.log(2 * np.pi) + STRAINS * np.linalg.slogdet(covariance)[1] + squares)
+
+
+@pytest.mark.parametrize(("text", "spreads"), [(NESTED, (0.8, 1.0)), (ALONE, (1.0, 0.0))], ids=["nested", "alone"])
+def test_the_likelihood_of_a_linear_model_is_exact(tmp_path: Path, text: str, spreads: tuple[float, float]) -> None:
+    model, data, values = strains(tmp_path, text)
+    made, u, weights = marginal_of(model, data)
+    groups = made.likelihood.groups
+    assert (groups.count, groups.size) == (STRAINS, SUBJECTS + 1)
+    found = made.value(u, weights, np.zeros((groups.count, groups.size)))
+    assert found.total == pytest.approx(exact(values, *spreads, 0.5), rel=1e-10)
+
+
+@pytest.mark.parametrize("text", [NESTED, DECAYS], ids=["nested", "decays"])
+def test_gradient_and_information_are_those_of_the_likelihood(tmp_path: Path, text: str) -> None:
+    model, data, _ = strains(tmp_path, text)
+    made, u, weights = marginal_of(model, data)
+    along, h = np.random.default_rng(3).standard_normal(len(u)), 1e-4
+    start = np.zeros((made.likelihood.groups.count, made.likelihood.groups.size))
+    point = made.value(u, weights, start)
+    found = made.slopes(u, weights, point.z)
+    values = [made.value(u + s * h * along, weights, start).total for s in (-2, -1, 1, 2)]
+    numeric = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
+    assert found.parameters.sum(axis=0) @ along == pytest.approx(numeric, rel=1e-6, abs=1e-6)
+    assert np.linalg.eigvalsh(made.information(u, weights, point.z)).min() > 0
+
+
+def test_columns_that_cross_join_their_groups(tmp_path: Path) -> None:
+    text = NESTED.replace("learn w", "learn v = 1 > 0 per site ~ lognormal\nlearn w").replace("x' = 0", "x' = 0*v")
+    model, data, _ = strains(tmp_path, text, site=True)
+    made, _, _ = marginal_of(model, data)
+    groups = made.likelihood.groups
+    assert (groups.count, groups.size) == (1, 2 * 24 + STRAINS + 3)
+    z = torch.arange(groups.size, dtype=torch.float64)[None]
+    numbers = groups.numbers(z).numpy()
+    assert len(np.unique(numbers[:, 2])) == STRAINS
+    assert len(np.unique(numbers[:, 3])) == 3
+    assert groups.together(numbers) == pytest.approx(z.numpy())
+
+
+def test_a_fit_finds_both_spreads(tmp_path: Path) -> None:
+    model, data, values = strains(tmp_path, NESTED)
+    run = train(model, data, TrainOptions(backend="torch", max_step=1.0, effort="low"), tmp_path / "run")
+    found = run.fit.population
+    assert found is not None
+    of_subjects, of_strains = found.effects["m"], found.effects["m per strain"]
+    assert (of_subjects.per, of_strains.per) == ("trajectory", "strain")
+    centers = values.reshape(STRAINS, SUBJECTS, TIMES).mean(axis=2)
+    within = ((values.reshape(-1, TIMES) - centers.reshape(-1, 1)) ** 2).sum() / (24 * (TIMES - 1))
+    between = centers.var(axis=1, ddof=1).mean() - within / TIMES  # balanced: the likelihood's own estimates
+    assert of_subjects.sd == pytest.approx(np.sqrt(between), rel=1e-3)
+    strain = centers.mean(axis=1).var() - (between + within / TIMES) / SUBJECTS
+    assert of_strains.sd == pytest.approx(np.sqrt(strain), rel=1e-3)
+    assert of_strains.shrinkage is not None
+    assert 0 < of_strains.shrinkage < 1
+    learned = models.learned(models.open_run(tmp_path / "run"))
+    assert learned.individuals is not None
+    assert learned.individuals.factor[0, 0] ** 2 == pytest.approx(of_subjects.sd**2 + of_strains.sd**2)
+
+
+def test_without_groups_each_trajectory_is_a_unit(tmp_path: Path) -> None:
+    model, data, _ = strains(tmp_path, LEVEL)
+    made, _, _ = marginal_of(model, data)
+    groups: Groups = made.likelihood.groups
+    assert (groups.count, groups.size, groups.shared) == (24, 1, False)
+
+
+def test_what_is_not_offered_for_groups_is_said(tmp_path: Path) -> None:
+    model, data, _ = strains(tmp_path, NESTED)
+    options = TrainOptions(backend="torch", max_step=1.0, effort="low", quadrature=9)
+    with pytest.raises(UserError) as caught:
+        train(model, data, options, tmp_path / "run")
+    assert [found.code for found in caught.value.diagnostics] == ["GB787"]
+    known = model_of(NESTED, tmp_path)
+    individuals = Individuals.of_model(known, known.constant_names)
+    with pytest.raises(UserError) as caught:
+        simulate(models.reference(known).evaluator, known, SimulateOptions(), None, None, individuals)
+    assert "GB786" in [found.code for found in caught.value.diagnostics]

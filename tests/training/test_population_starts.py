@@ -1,0 +1,55 @@
+"""Where the fits of populations with networks begin: effects of single trajectories break the symmetry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gbspec.diagnostics import Findings
+from gbspec.operations import tables
+from gbspec.training import TrainOptions, train
+from gbspec.training.engines import choice
+from gbspec.training.population.pooled import pooled_model
+from tests.training.test_populations import NETWORK, model_of, table
+
+KNOWN = """model known
+time t from 0
+state x
+effect e per trajectory
+learn k = 0.5 in [0.01, 5]
+learn s = 0.4 in [0, 3]
+x' = -k*exp(s*e)*x
+initial x = 2
+observe x
+"""
+
+
+def test_effects_are_estimated_for_each_trajectory_only_where_they_are_arguments_of_networks(tmp_path: Path) -> None:
+    with_network, known = (pooled_model(model_of(text, tmp_path)) for text in (NETWORK, KNOWN))
+    assert [k.per_trajectory for k in with_network.learnables if k.name == "e"] == [True]
+    assert [k.per_trajectory for k in known.learnables if k.name == "e"] == [False]
+
+
+def test_the_kernel_is_worth_its_compilation_for_a_population(tmp_path: Path) -> None:
+    """Inner problems solve the model hundreds of times in each iteration."""
+    model = model_of(NETWORK, tmp_path)
+    alone = replace(model, learnables=(), implied=())
+    assert [choice.few(one, TrainOptions(), 10) for one in (alone, model)] == [True, False]
+
+
+def test_a_network_learns_to_depend_on_its_effect(tmp_path: Path) -> None:
+    """Rates differ by a factor of 4 between trajectories, which only the network's effect can explain."""
+    random, times = np.random.default_rng(7), np.array([0.3, 0.8, 1.5, 2.5, 4.0])
+    rate = 0.5 * np.exp(0.7 * np.linspace(-1, 1, 8))[:, None]
+    values = 2 * np.exp(-rate * times) + 0.02 * random.standard_normal((8, 5))
+    model = model_of(NETWORK, tmp_path)
+    data = tables.read_data(table(tmp_path, values, times), model, Findings())
+    run = train(model, data, TrainOptions(backend="torch", max_step=0.5, effort="low"), tmp_path / "run")
+    assert run.fit.noise["x"] is not None
+    assert run.fit.noise["x"] < 0.06  # without the dependence it is 0.2
+    own = run.fit.constants["e"].per_trajectory
+    assert own is not None
+    found = np.array([own[str(i + 1)].value for i in range(8)])
+    assert abs(np.corrcoef(found, np.arange(8))[0, 1]) > 0.95
