@@ -265,10 +265,10 @@ rates of the disturbed state (GB344); censored values (GB784); profiles (GB772);
 these not for populations either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a
 population its medians.
 
-Events: `after` and `transient`, events that set elements of arrays, and events together with `diffusion`, populations
-or learned noises are not offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a
-model (GB778), its export and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its
-balances without the events. Second derivatives through the time of an event are not computed.
+Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not
+offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export
+and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its balances without the events.
+Second derivatives through the time of an event are not computed.
 
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
