@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Cell, Diagnostic, UserError
-from gbspec.imports.formulas import Formula
+from gbspec.imports.formulas import ZERO, Formula
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,20 @@ class Conversion:
 
 @dataclass(frozen=True)
 class Event:
-    """What happens when a condition becomes true: states and their values, computed from those before."""
+    """What happens when a condition becomes true: states and their values, computed from those before.
+
+    `after` is a delay. `sampled`: the values are those of the time when the condition became true; `transient`: it is
+    given up when the condition ends; `queue`: how many can wait."""
 
     id: str
     condition: Formula
     values: tuple[tuple[str, Formula], ...]
-    priority: float = 0.0
+    priority: Formula = ZERO
     armed: bool = False
+    after: Formula | None = None
+    sampled: bool = False
+    transient: bool = False
+    queue: int = 1
     description: str = ""
 
 
