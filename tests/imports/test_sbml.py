@@ -146,12 +146,6 @@ def test_units_that_disagree_are_left_out_and_listed(tmp_path: Path) -> None:
     [
         ("<listOfRules><algebraicRule>{x}</algebraicRule></listOfRules>", "algebraic rules are not offered yet"),
         ('<listOfRules><rateRule variable="x">{delay}</rateRule></listOfRules>', "a delay is not offered yet"),
-        (
-            '<listOfEvents><event id="e" useValuesFromTriggerTime="true">'
-            '<trigger initialValue="true" persistent="true">'
-            "{x}</trigger><delay>{x}</delay></event></listOfEvents>",
-            "events with a delay are not offered yet",
-        ),
         ('<listOfRules><rateRule variable="x">{ceiling}</rateRule></listOfRules>', "`ceiling` of a quantity"),
         ('<listOfRules><rateRule variable="x">{unknown}</rateRule></listOfRules>', "nothing declares it"),
     ],
