@@ -142,8 +142,10 @@ _HELP = (
 
 @dataclass(frozen=True)
 class Imported:
-    """A description with what it left out, and the files that stand beside the model, by name."""
+    """A description with what it left out, the files that stand beside the model, by name, and the options of training
+    by which a fit has the objective of the source."""
 
     description: Description
     left_out: tuple[LeftOut, ...]
     files: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)

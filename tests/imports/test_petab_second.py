@@ -68,6 +68,7 @@ def test_periods_of_experiments(tmp_path: Path) -> None:
     assert found.data is not None
     assert "event switch_1 when t >= switch_1_time" in Path(found.model).read_text()
     assert any("cauchy" in one.reason for one in found.left_out)
+    assert found.options == {"forcing": "autoregressive"}
     result = gbspec.evaluate(found.model, found.data)
     assert result.nllh == pytest.approx(closed(0.4, 0.9), rel=1e-7)
     h = 1e-5

@@ -27,3 +27,6 @@ def run(
     for one in made.left_out:
         output.say(f"left out: {one.element}{f' (line {one.line})' if one.line else ''}: {one.reason}")
     output.say(f"wrote {made.model}")
+    if made.data is not None:
+        options = "".join(f" --{name} {value}" for name, value in made.options.items())
+        output.say(f"wrote {made.data}; `gbspec train {made.model} {made.data} -o RUN{options}` fits it")

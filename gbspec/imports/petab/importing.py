@@ -31,13 +31,16 @@ from gbspec.imports.formulas import (
     spelled_number,
 )
 from gbspec.imports.petab.courses import Courses, uses_time
-from gbspec.imports.petab.problem import FILE, LINE, Row, Tables, read_document, read_first, version
+from gbspec.imports.petab.networks import Networks, read_networks
+from gbspec.imports.petab.problem import FILE, LINE, Row, Tables, files_of, read_document, read_first, rows_of, version
 from gbspec.imports.petab.second import Second, read_second, steady
 from gbspec.imports.safety import refused
 from gbspec.imports.sbml import Change, NotOfferedError, described_model, formula_of, read_model
 from gbspec.imports.writing import model_name, written
 
 DATA = "data.csv"
+OPTIONS = {"forcing": "autoregressive"}
+"""The objective of PEtab is that of whole solutions: measurements reset no state."""
 _PREDICTION = " prediction"
 """After the name of an observable: the prediction, in its noise. No quantity is named so."""
 Key: TypeAlias = tuple[str, str, str, str]
@@ -54,7 +57,7 @@ def import_petab(path: Path) -> Imported:
         raise refused(path, f"PEtab {document['format_version']} is not offered; PEtab 1 and 2 are")
     tables, second = (read_first(path, document), Second()) if kind == "1" else read_second(path, document)
     model = read_model(tables.model, report).getModel()
-    problem = _Problem(tables, model, report, second)
+    problem = _Problem(path, tables, model, report, second)
     change = problem.change()
     made = described_model(model, report, tables.model, change)
     _check_noise(made, report)
@@ -63,7 +66,7 @@ def import_petab(path: Path) -> Imported:
     made.source = path.name
     report.raise_if_refused()
     columns = written(made).columns
-    return Imported(made, tuple(report.left_out), {DATA: problem.table(columns)})
+    return Imported(made, tuple(report.left_out), {DATA: problem.table(columns)}, OPTIONS)
 
 
 def _check_times(made: Description, second: Second, report: Report) -> None:
@@ -89,6 +92,7 @@ def _check_noise(made: Description, report: Report) -> None:
 
 @dataclass
 class _Problem:
+    path: Path
     tables: Tables
     model: libsbml.Model
     report: Report
@@ -108,14 +112,54 @@ class _Problem:
 
     def change(self) -> Change:
         """What the problem says of its model."""
+        networks = self._networks()
         for row in self.tables.parameters:
-            self._parameter(row)
+            if row.get("parameterId", "") not in networks.scopes:
+                self._parameter(row)
         self._conditions()
+        self._hybrid(networks)
         self.courses = Courses(self.second, self.values, self.experiment, self._formula)
         for row in self.tables.measurements:
             self._measured(row)
         happenings = self.courses.happenings(self.constants)
         return Change(self.constants, self.assigned, self.starts, happenings, tuple(self.channels.values()))
+
+    # ------------------------------------------------------------------------------------------------------ networks
+    def _networks(self) -> Networks:
+        """The networks of PEtab-SciML; without any where the problem has none."""
+        if not self.second.sciml:
+            return Networks()
+        rows = rows_of(files_of(self.path, self.second.sciml.get("hybridization_files")))
+        return read_networks(self.path, self.second, rows, parsed)
+
+    def _hybrid(self, networks: Networks) -> None:
+        """What networks add: weights, units, inputs from arrays, and the quantities that they set."""
+        for weight in networks.weights:
+            row = networks.governing(weight, self.tables.parameters)
+            if row is not None:
+                text = row.get("nominalValue", "")
+                value = spelled_number(weight.value) if text in ("", "array") else text
+                self._parameter({**row, "parameterId": weight.name, "nominalValue": value})
+            else:
+                self.constants[weight.name] = Quantity(weight.name, number(weight.value))
+        self.assigned |= networks.lets
+        for name, text in networks.hybrid.items():
+            formula = parsed(text)
+            if self.model.getSpecies(name) is not None:
+                self.starts[name] = formula
+            else:
+                self.assigned[name] = formula
+                self.constants.pop(name, None)
+        for name, numbers in networks.arrays.items():
+            if "0" in numbers:
+                self.constants[name] = Quantity(name, number(numbers["0"]))
+                continue
+            self.constants[name] = Quantity(name, None, condition=True)
+            for experiment, row in self.values.items():
+                here = [numbers[one] for one in self.second.conditions.get(experiment, ()) if one in numbers]
+                if len(here) != 1:
+                    self.report.refuse(f"experiment {experiment}", 0, f"`{name}` has no value, or several")
+                row[name] = spelled_number(here[0] if here else 0.0)
 
     # ---------------------------------------------------------------------------------------------------- parameters
     def _parameter(self, row: Row) -> None:

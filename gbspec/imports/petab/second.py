@@ -34,6 +34,8 @@ class Second:
     part of the document for extensions."""
 
     starts: dict[str, float] = field(default_factory=dict)
+    conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """The conditions that apply when an experiment begins."""
     switches: tuple[Switch, ...] = ()
     mapping: tuple[Row, ...] = ()
     sciml: dict[str, Any] = field(default_factory=dict)
@@ -62,7 +64,9 @@ def read_second(path: Path, document: dict[str, Any]) -> tuple[Tables, Second]:
         return rows_of(files_of(path, document.get(key)))
 
     measurements = [_measurement(row) for row in rows("measurement_files")]
-    conditions, second = _experiments(path, rows("experiment_files"), rows("condition_files"), measurements)
+    conditions, second = _experiments(
+        path, rows("experiment_files"), rows("condition_files"), measurements, "sciml" in extensions
+    )
     tables = Tables(
         files_of(path, [found[0].get("location")])[0],
         conditions,
@@ -103,7 +107,7 @@ def _parameter(row: Row) -> Row:
 
 
 def _experiments(
-    path: Path, experiments: list[Row], conditions: list[Row], measurements: Iterable[Row]
+    path: Path, experiments: list[Row], conditions: list[Row], measurements: Iterable[Row], sciml: bool
 ) -> tuple[list[Row], Second]:
     """A condition of PEtab 1 for each experiment, and what changes later."""
     targets: dict[str, dict[str, str]] = {}
@@ -111,16 +115,18 @@ def _experiments(
         targets.setdefault(row.get("conditionId", ""), {})[row.get("targetId", "")] = row.get("targetValue", "")
     periods: dict[str, dict[float, dict[str, str]]] = {}
     places: dict[str, Row] = {}
+    applied: dict[tuple[str, float], list[str]] = {}
     for row in experiments:
         name, condition = row.get("experimentId", ""), row.get("conditionId", "")
         try:
             time = float(row.get("time", ""))
         except ValueError:
             raise refused(path, f"the time of the experiment `{name}` is no number", int(row[LINE])) from None
-        if condition and condition not in targets:
+        if condition and condition not in targets and not sciml:
             raise refused(path, f"no table has the condition `{condition}`", int(row[LINE]))
         places.setdefault(name, row)
         periods.setdefault(name, {}).setdefault(time, {}).update(targets.get(condition, {}))
+        applied.setdefault((name, time), []).append(condition)
     if any(row["simulationConditionId"] == DEFAULT for row in measurements):
         periods.setdefault(DEFAULT, {0.0: {}})
         places.setdefault(DEFAULT, {LINE: "0", FILE: path.name})
@@ -132,6 +138,7 @@ def _experiments(
         place = {LINE: row[LINE], FILE: row[FILE]}
         found.append({"conditionId": name, **times[first], **place})
         second.starts[name] = first
+        second.conditions[name] = tuple(applied.get((name, first), ()))
         switches = tuple(Switch(name, time, times[time], row) for time in later if times[time])
         second = replace(second, switches=(*second.switches, *switches))
     return found, second
