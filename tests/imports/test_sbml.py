@@ -167,12 +167,9 @@ def test_what_has_no_form_is_refused_with_its_place(tmp_path: Path, part: str, r
 
 
 def test_all_reasons_are_given_at_once(tmp_path: Path) -> None:
-    events = "".join(
-        f'<event id="e{i}" useValuesFromTriggerTime="true"><trigger initialValue="true" persistent="true">'
-        f"{made.math('<true/>')}</trigger><delay>{made.math('<cn>1</cn>')}</delay></event>"
-        for i in range(3)
-    )
-    path = made.stored(tmp_path, made.sbml(made.parameters("false", x="1"), f"<listOfEvents>{events}</listOfEvents>"))
+    time = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">time</csymbol>'
+    events = (made.event(f"e{i}", made.apply("eq", time, "1"), {"x": "<cn>2</cn>"}) for i in range(3))
+    path = made.stored(tmp_path, made.sbml(made.parameters("false", x="1"), made.happening(*events)))
     with pytest.raises(UserError) as raised:
         import_file(path, tmp_path / "out")
     assert len(raised.value.diagnostics) == 3
