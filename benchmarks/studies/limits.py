@@ -266,10 +266,10 @@ rates of the disturbed state (GB344); censored values (GB784); profiles (GB772);
 these not for populations either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a
 population its medians.
 
-Events: `after` and `transient`, events that set elements of arrays, and events together with `diffusion`, populations
-or learned noises are not offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a
-model (GB778), its export and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its
-balances without the events. Second derivatives through the time of an event are not computed.
+Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not
+offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export
+and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its balances without the events.
+Second derivatives through the time of an event are not computed.
 
 Algebraic variables that need a search (`equation` without a formula for them): events, disturbances, populations and
 learned noises are not offered together with them yet (GB361), nor `export` and C code (GB808); fits use torch.

@@ -2,7 +2,8 @@
 
     python -m benchmarks.studies.petab SUITE -o docs/studies/petab.md
 
-SUITE is a folder with a folder for each case (`_NNNN.yaml`, its tables, `_NNNN_solution.yaml`), as the suite's own.
+SUITE has the folders `v1` and `v2`, with a folder for each case (`_NNNN.yaml`, its tables, `_NNNN_solution.yaml`), as
+the suite's own.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ def judged(folder: Path) -> Outcome:
     """The end of one case: the largest of the errors of chi2, log likelihood and simulations, in their tolerances."""
     from gbspec.operations import importing
 
-    name = folder.name
+    name, case = folder.name, f"{folder.parent.name}/{folder.name}"
     with tempfile.TemporaryDirectory() as place:
         try:
             made = importing.import_file(folder / f"_{name}.yaml", place)
             found = gbspec.evaluate(made.model, str(made.data))
         except UserError as error:
-            return Outcome(name, "refused", tuple(dict.fromkeys(one.message for one in error.diagnostics)))
+            return Outcome(case, "refused", tuple(dict.fromkeys(one.message for one in error.diagnostics)))
         except ComputationError as error:
-            return Outcome(name, "failed", (str(error),))
+            return Outcome(case, "failed", (str(error),))
     solution = yaml.safe_load((folder / f"_{name}_solution.yaml").read_text())
     errors = [
         abs(found.chi2 - solution["chi2"]) / solution["tol_chi2"],
@@ -50,15 +51,16 @@ def judged(folder: Path) -> Outcome:
         expected = sorted(float(row["simulation"]) for row in csv.DictReader(file, delimiter="\t"))
     errors += [abs(a - b) / solution["tol_simulations"] for a, b in zip(values, expected, strict=True)]
     worst = max(errors)
-    return Outcome(name, "passed" if worst <= 1 else "wrong", (), worst)
+    return Outcome(case, "passed" if worst <= 1 else "wrong", (), worst)
 
 
 def page(outcomes: list[Outcome]) -> str:
     lines = [
         "# The PEtab test suite",
         "",
-        f"{len(outcomes)} cases of [PEtab 1](https://github.com/PEtab-dev/petab_test_suite) were",
-        "imported (`gbspec import`) and evaluated at their nominal parameters (`gbspec evaluate`). The error is the",
+        f"{len(outcomes)} cases of [PEtab 1 and 2](https://github.com/PEtab-dev/petab_test_suite), of which",
+        f"{sum(one.end == 'passed' for one in outcomes)} pass, were imported (`gbspec import`) and evaluated at their "
+        "nominal parameters (`gbspec evaluate`). The error is the",
         "largest one of chi2, log likelihood and simulations, in units of the suite's tolerance:",
         "",
         "    python -m benchmarks.studies.petab SUITE -o docs/studies/petab.md",
@@ -78,7 +80,7 @@ def main() -> None:
     parser.add_argument("suite", type=Path)
     parser.add_argument("-o", dest="out", type=Path)
     given = parser.parse_args()
-    outcomes = [judged(folder) for folder in sorted(given.suite.iterdir()) if folder.is_dir()]
+    outcomes = [judged(folder) for folder in sorted(given.suite.glob("v[12]/*")) if folder.is_dir()]
     if given.out is not None:
         given.out.write_text(page(outcomes), encoding="utf-8")
     for one in outcomes:

@@ -136,6 +136,8 @@ def page(outcomes: list[Outcome], seconds: float) -> str:
         "|---|---:|",
         *(f"| {reason} | {len(cases)} |" for reason, cases in sorted(reasons.items(), key=lambda x: -len(x[1]))),
     ]
+    refused = [one for one in outcomes if one.end == "refused"]
+    lines += ["", "## Cases that are refused", "", *(f"- {one.case}: {'; '.join(one.said)}" for one in refused)]
     for end in ("failed", "wrong"):
         bad = [one for one in outcomes if one.end == end]
         lines += ["", f"## Cases that {'have no solution' if end == 'failed' else 'are wrong'}", ""] if bad else []

@@ -93,6 +93,19 @@ class Equations(Protocol):
     ) -> Value:
         """A number for each event with a condition, which becomes positive where the condition becomes true."""
 
+    def ranks(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
+        """The priority of each event, in models where one is computed."""
+
     def timing(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
         """For each event at given times the first one, the interval and the last one."""
 

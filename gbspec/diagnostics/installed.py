@@ -12,6 +12,7 @@ EXTRAS = {
     "onnx": ("onnx", "`gbspec export --as onnx`"),
     "libsbml": ("sbml", "`gbspec import` of SBML"),
     "yaml": ("sbml", "`gbspec import` of PEtab"),
+    "h5py": ("sbml", "`gbspec import` of PEtab-SciML"),
     "distributed": ("cluster", "`--scheduler`"),
 }
 """Packages that `pip install gbspec` leaves out: the extra that brings each, and what needs it."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Cell, Diagnostic, UserError
-from gbspec.imports.formulas import Formula
+from gbspec.imports.formulas import ZERO, Formula
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,20 @@ class Conversion:
 
 @dataclass(frozen=True)
 class Event:
-    """What happens when a condition becomes true: states and their values, computed from those before."""
+    """What happens when a condition becomes true: states and their values, computed from those before.
+
+    `after` is a delay. `sampled`: the values are those of the time when the condition became true; `transient`: it is
+    given up when the condition ends; `queue`: how many can wait."""
 
     id: str
     condition: Formula
     values: tuple[tuple[str, Formula], ...]
-    priority: float = 0.0
+    priority: Formula = ZERO
     armed: bool = False
+    after: Formula | None = None
+    sampled: bool = False
+    transient: bool = False
+    queue: int = 1
     description: str = ""
 
 
@@ -135,8 +142,10 @@ _HELP = (
 
 @dataclass(frozen=True)
 class Imported:
-    """A description with what it left out, and the files that stand beside the model, by name."""
+    """A description with what it left out, the files that stand beside the model, by name, and the options of training
+    by which a fit has the objective of the source."""
 
     description: Description
     left_out: tuple[LeftOut, ...]
     files: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)

@@ -49,7 +49,9 @@ class Formula:
         return number(-self.value) if self.head == "number" else Formula("neg", (self,))
 
 
-_COMPARISONS = ("<", "<=", ">", ">=", "==")
+ORDERS = ("<", "<=", ">", ">=")
+"""Comparisons by size."""
+_COMPARISONS = (*ORDERS, "==")
 _LOGICAL = frozenset((*_COMPARISONS, "and", "or", "not", "true", "false"))
 _PRECEDENCE = {
     "or": 1, "and": 2, "not": 3, **dict.fromkeys(_COMPARISONS, 4), "+": 5, "-": 5, "*": 6, "/": 6, "neg": 7, "^": 8,

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from gbspec.imports.description import Channel, Conversion, Description, Event, Quantity
-from gbspec.imports.formulas import ONE, Formula, condition_text, names, number, text, walk
+from gbspec.imports.formulas import ONE, ZERO, Formula, condition_text, names, text, walk
 from gbspec.syntax import REFUSED, is_name
 
 _WORDS = """
@@ -159,10 +159,14 @@ class _Writer:
 
     def _event(self, one: Event) -> str:
         condition = condition_text(one.condition, self.spelled, self.time)
-        priority = f" priority {self._text(number(one.priority))}" if one.priority else ""
-        armed = " armed" if one.armed else ""
+        clauses = [f"after {self._text(one.after)}"] if one.after is not None else []
+        clauses += [f"queue {one.queue}"] if one.queue > 1 else []
+        clauses += [f"priority {self._text(one.priority)}"] if one.priority != ZERO else []
+        flags = {"transient": one.transient, "sampled": one.sampled, "armed": one.armed}
+        clauses += [word for word, said in flags.items() if said]
+        how = "".join(f" {clause}" for clause in clauses)
         values = ", ".join(f"{self.spelled(state)} = {self._text(value)}" for state, value in one.values)
-        return f"event {self.spelled(one.id)} when {condition}{priority}{armed}: {values}{self._said(one.description)}"
+        return f"event {self.spelled(one.id)} when {condition}{how}: {values}{self._said(one.description)}"
 
     def _channel(self, one: Channel) -> str:
         column = one.column + "_" * bool(_COLUMNS.match(one.column))
@@ -224,4 +228,6 @@ def _formulas(made: Description) -> Iterable[Formula]:
         yield from (factor for factor, _ in (*conversion.consumed, *conversion.produced))
     yield from made.balances.values()
     for event in made.events:
-        yield from (event.condition, *(value for _, value in event.values))
+        yield from (event.condition, event.priority, *(value for _, value in event.values))
+        if event.after is not None:
+            yield event.after

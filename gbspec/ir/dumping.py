@@ -223,7 +223,8 @@ def _event(event: Event) -> str:
         timing = event.timing or Timing()
         parts = zip(("at", "every", "until"), (timing.at, timing.every, timing.until), strict=True)
         when = " ".join(f"{word} {written(value)}" for word, value in parts if value is not None)
-    priority = f" priority {event.priority!r}" if event.priority else ""
+    rank = repr(event.priority) if event.rank is None else written(event.rank)
+    priority = f" priority {rank}" if event.priority or event.rank is not None else ""
     return f"{event.name} {when}{priority}: " + ", ".join(f"{name} = {written(v)}" for name, v in event.values)
 
 

@@ -26,7 +26,8 @@ class Event:
     """Sets states: those in `values`, each to an expression of the values before.
 
     It happens when `guard` becomes positive or zero (`condition` says the same as a relation, for display), or at the
-    times of `timing`; one of the two is None. `armed`: also at the start, if the condition is true there.
+    times of `timing`; one of the two is None. `armed`: also at the start, if the condition is true there. `rank` is a
+    priority that is computed when the event can happen; None if it is the number `priority`.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Event:
     condition: sympy.Basic | None = None
     timing: Timing | None = None
     priority: float = 0.0
+    rank: Expr | None = None
     armed: bool = False
     description: str = field(default="", kw_only=True)
     span: Span | None = field(default=None, kw_only=True, compare=False, repr=False)

@@ -138,8 +138,9 @@ def _events(model: Model, check: Callable[..., None], known: set[sympy.Symbol], 
     for event in model.events:
         what = f"the event `{event.name}`"
         _require((event.guard is None) != (event.timing is None), f"when {what} happens")
-        if event.guard is not None:
-            check(what, event.guard, known)
+        for value in (event.guard, event.rank):
+            if value is not None:
+                check(what, value, known)
         if event.timing is not None:
             for part in (event.timing.at, event.timing.every, event.timing.until):
                 if part is not None:

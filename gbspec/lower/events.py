@@ -10,6 +10,7 @@ import sympy
 
 from gbspec.diagnostics import Findings, Span
 from gbspec.ir import Event, Expr, Model, Timing, symbol
+from gbspec.lower import waiting
 from gbspec.semantics import Checked
 from gbspec.syntax import ast, target_name
 
@@ -26,7 +27,15 @@ def lowered(model: Model, checked: Checked, expression: Lower, fixed: Lower, fin
     }
     states = tuple(replace(state, discrete=True) if state.name in discretes else state for state in model.states)
     model = replace(model, states=states)
-    found = [_Lowering(model, checked, expression, fixed, findings).event(s) for s in checked.all(ast.EventStatement)]
+    found: list[Event] = []
+    for s in checked.all(ast.EventStatement):
+        event = _Lowering(model, checked, expression, fixed, findings).event(s)
+        wait = waiting.wait_of(s, checked, expression)
+        if wait is None or findings.failed:
+            found.append(event)
+        else:
+            model, made = waiting.with_waiting(model, event, wait, checked.table)
+            found += made
     found.sort(key=lambda event: (event.timing is None, -event.priority))  # stable: else as written
     model = replace(model, events=tuple(found))
     _refuse_together(model, findings)
@@ -44,6 +53,7 @@ class _Lowering:
         """The event of a statement."""
         values = tuple((target_name(a.target).text, self._expression(a.value)) for a in s.assignments)
         priority = self._checked.numbers.value(s.priority) if s.priority is not None else 0.0
+        rank = None if s.priority is None or priority is not None else self._expression(s.priority)
         guard = condition = timing = None
         if s.condition is not None:
             condition = self._expression(s.condition)
@@ -58,6 +68,7 @@ class _Lowering:
             condition,
             timing,
             priority or 0.0,
+            rank,
             s.armed,
             description=s.description.value if s.description is not None else "",
             span=s.name.span,

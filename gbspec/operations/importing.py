@@ -23,12 +23,13 @@ LEFT_OUT = "left_out.csv"
 
 @dataclass(frozen=True)
 class Import:
-    """What was written: the model's path, those of its table and options if there are any, and what was left out."""
+    """What was written: the model's path, that of its table if there is one, and what was left out; `options` are those
+    of training by which a fit has the objective of the source."""
 
     name: str
     model: str
     data: str | None
-    options: str | None
+    options: Mapping[str, str]
     left_out: tuple[LeftOut, ...]
 
     def to_json(self) -> dict[str, object]:
@@ -36,7 +37,7 @@ class Import:
         return {
             "model": self.model,
             "data": self.data,
-            "options": self.options,
+            "options": dict(self.options),
             "left_out": [asdict(one) for one in self.left_out],
         }
 
@@ -73,8 +74,7 @@ def import_file(path: str | Path, directory: str | Path) -> Import:
     write_text(folder / LEFT_OUT, _table(left_out))
     kept = {name: str(folder / name) for name in made.files}
     data = next((path for name, path in kept.items() if name.endswith(".csv")), None)
-    options = next((path for name, path in kept.items() if name.endswith(".json")), None)
-    return Import(made.description.name, str(target), data, options, left_out)
+    return Import(made.description.name, str(target), data, made.options, left_out)
 
 
 def _free(target: Path) -> None:

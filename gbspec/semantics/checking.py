@@ -94,7 +94,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     balances.once(items, findings)
     balances.targets(items, names, findings, merged)
     balances.coverage(items, names, takers, places_of, rests, findings, merged)
-    events.check(items, names, findings, merged)
+    events.check(items, names, numbers, findings, merged)
     balances.start_cycles(items, places_of, names, findings)
     columns.check(items, names, findings)
     known = _truths(items, places_of, names, values, numbers, findings, merged)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterable
 from dataclasses import replace
 
 from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.merge import Item, Merged
+from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.table import Table
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import Kind, ast, target_name
+
+MOST_WAITING = 64
+"""The largest `queue`: each place in it is two states more."""
 
 
 def expand(merged: Merged, findings: Findings) -> Merged:
@@ -99,22 +104,7 @@ def _with_diffusion(statement: ast.DiffusionStatement, items: tuple[Item, ...], 
 
 
 def _not_yet(statement: ast.EventStatement, arrays: Iterable[str], findings: Findings) -> None:
-    """What the language has for events and this version does not offer."""
-    name = statement.name.text
-    if statement.after is not None:
-        findings.error(
-            "GB351",
-            f"`after` is not offered yet, so that `{name}` cannot wait",
-            statement.after.span,
-            help="keep the time in a discrete value: `event a when C: due = t + d`, `event b when t >= due: …`",
-        )
-    if statement.transient:
-        findings.error(
-            "GB351",
-            f"`transient` is for an event with `after`, which is not offered yet: `{name}` cannot have it",
-            statement.name.span,
-            help="leave it out",
-        )
+    """What events do not offer in this version."""
     for assignment in statement.assignments:
         target = target_name(assignment.target)
         if isinstance(assignment.target, ast.Index) or target.text in arrays:
@@ -126,11 +116,12 @@ def _not_yet(statement: ast.EventStatement, arrays: Iterable[str], findings: Fin
             )
 
 
-def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> None:
-    """Checks that events set states, each once (GB347, GB348)."""
+def check(items: Iterable[Item], table: Table, numbers: Numbers, findings: Findings, merged: Merged) -> None:
+    """Checks that events set states, each once (GB347, GB348), and how they wait (GB384)."""
     for event in (item.statement for item in items):
         if not isinstance(event, ast.EventStatement):
             continue
+        _waits(event, numbers, findings)
         first: dict[str, ast.Name] = {}
         for assignment in event.assignments:
             name = target_name(assignment.target)
@@ -145,6 +136,39 @@ def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merge
                     help="write one right side; each sees the values before the event",
                 )
             _settable(name, table, findings, merged)
+
+
+def _waits(s: ast.EventStatement, numbers: Numbers, findings: Findings) -> None:
+    """Reports delays and queues that say nothing (GB384)."""
+    delay, queue = numbers.value(s.after), numbers.value(s.queue)
+    name = s.name.text
+    if s.after is not None and delay is not None and delay < 0:
+        findings.error(
+            "GB384",
+            f"`{name}` acts {-delay:g} before its condition becomes true",
+            s.after.span,
+            help="a delay is positive or zero",
+        )
+    if s.queue is None:
+        return
+    if s.after is None:
+        findings.error(
+            "GB384", f"`{name}` does not wait, so that `queue` says nothing", s.queue.span, help="add `after …`"
+        )
+    elif s.transient:
+        findings.error(
+            "GB384",
+            f"`{name}` is `transient`, so that only one of it can wait: its condition ends before it begins again",
+            s.queue.span,
+            help="leave out `queue`, or `transient`",
+        )
+    if queue is not None and not (math.isfinite(queue) and queue == int(queue) and 1 <= queue <= MOST_WAITING):
+        findings.error(
+            "GB384",
+            f"{queue:g} is not a number of places in which `{name}` can wait",
+            s.queue.span,
+            help=f"write a whole number from 1 to {MOST_WAITING}",
+        )
 
 
 def _settable(name: ast.Name, table: Table, findings: Findings, merged: Merged) -> None:

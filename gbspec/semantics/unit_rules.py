@@ -304,6 +304,10 @@ class _Rules:
         for time in (statement.at, statement.every, statement.until):
             if time is not None and self._usable(time):
                 units.carries(time, self._time(), "the time of an event", time.span)
+        if statement.after is not None and self._usable(statement.after):
+            units.carries(statement.after, self._time(), "the delay of an event", statement.after.span)
+        if statement.priority is not None and self._usable(statement.priority):
+            units.expression(statement.priority)
         for assignment in statement.assignments:
             name = target_name(assignment.target)
             if name.text in units.table and self._usable(assignment.value):

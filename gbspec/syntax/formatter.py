@@ -51,7 +51,7 @@ _ORDER = (
         "over",
         "times",
         "lag",
-        *("when", "at", "every", "until", "after", "priority", "transient", "armed", "assignments"),
+        *("when", "at", "every", "until", "after", "queue", "priority", "transient", "sampled", "armed", "assignments"),
         "column",
         "network",
         "text",

@@ -49,7 +49,7 @@ _KEYWORDS = frozenset(
             "times",
             "lag",
         ),
-        *("when", "every", "until", "after", "priority", "transient", "armed"),
+        *("when", "every", "until", "after", "queue", "priority", "transient", "sampled", "armed"),
         *("convex", "concave", "odd", "even", "period", "equals", "steady", "with"),
         *("by", "zero", "at", "increasing", "decreasing", "if", "and", "or", "not"),
     }

@@ -19,7 +19,9 @@ _TOKEN = re.compile(
 _TIGHT = frozenset({"*", "/", "^"})
 _WORDS = frozenset({"and", "or", "not"})
 # clause keywords that precede an expression
-_VALUE_WORDS = frozenset({"rate", "over", "times", "lag", "from", "when", "at", "every", "until", "after", "priority"})
+_VALUE_WORDS = frozenset(
+    {"rate", "over", "times", "lag", "from", "when", "at", "every", "until", "after", "queue", "priority"}
+)
 
 
 @dataclass

@@ -20,7 +20,7 @@ GROWTH = made.sbml(made.parameters("false", x="1"), made.rules(x=made.apply("tim
 def test_a_model_is_imported_and_simulated_at_the_times_of_the_source(here: Path, gbspec: Run, document: Run) -> None:
     made.stored(here, GROWTH, "growth.xml")
     found = document("import", "growth.xml", "-o", "out")
-    assert found == {"model": str(Path("out/made.gb")), "data": None, "options": None, "left_out": []}
+    assert found == {"model": str(Path("out/made.gb")), "data": None, "options": {}, "left_out": []}
     assert (here / "out" / "left_out.csv").read_text() == "element,line,reason\n"
     result = gbspec("simulate", "out/made.gb", "-o", "o.csv", "--trajectories", 1, "--span", 1, "--dt", 0.5,
                     "--sampling", "regular", "--keep-start")  # fmt: skip

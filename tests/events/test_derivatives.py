@@ -49,6 +49,11 @@ def differences(problem: Problem, parameters: Parameters, theta: Array, directio
     (MIXED, mixed_rows(), 0.2, 1.0),
 ])  # fmt: skip
 def test_the_jacobian_is_exact(text: str, data: Trajectories, step: float, blend: float) -> None:
+    the_jacobian_is_exact(text, data, step, blend)
+
+
+def the_jacobian_is_exact(text: str, data: Trajectories, step: float, blend: float) -> None:
+    """Compares the Jacobian, the graph's gradient and differences."""
     problem, parameters, theta = problem_of(model_of(text), data, step, blend=blend)
     dense = whole_jacobian(linearise(problem, parameters, theta), parameters).numpy()
     vector = torch.from_numpy(theta).requires_grad_()

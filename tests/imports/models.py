@@ -70,11 +70,14 @@ def rules(**rates: str) -> str:
     return f"<listOfRules>{each}</listOfRules>"
 
 
-def event(name: str, trigger: str, values: dict[str, str], inside: str = "", initial: str = "true") -> str:
+def event(
+    name: str, trigger: str, values: dict[str, str], inside: str = "", initial: str = "true", persistent: str = "true"
+) -> str:
     """An event; events stand in `happening`."""
     each = "".join(f'<eventAssignment variable="{k}">{math(v)}</eventAssignment>' for k, v in values.items())
     return (
-        f'<event id="{name}" useValuesFromTriggerTime="true"><trigger initialValue="{initial}" persistent="true">'
+        f'<event id="{name}" useValuesFromTriggerTime="true">'
+        f'<trigger initialValue="{initial}" persistent="{persistent}">'
         f"{math(trigger)}</trigger>{inside}<listOfEventAssignments>{each}</listOfEventAssignments></event>"
     )
 

@@ -104,7 +104,7 @@ def test_numbers_of_conditions_are_columns(tmp_path: Path) -> None:
         ),
         ("observables", "observableId\tobservableFormula\tnoiseFormula\no\t2*y\t0.1*y\n", "depends on `y`"),
         ("observables", "observableId\tobservableFormula\tnoiseFormula\no\t__import__('os')\t1\n", "cannot be read"),
-        ("problem", YAML.replace("format_version: 1", "format_version: 2.0.0"), "PEtab 2.0.0 is not offered yet"),
+        ("problem", YAML.replace("format_version: 1", "format_version: 2.0.0"), "it has not exactly one model"),
         ("problem", YAML.replace("made.xml", "../made.xml"), "not in or below its folder"),
         ("problem", "a: [1", "it is no YAML"),
     ],

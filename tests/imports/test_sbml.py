@@ -146,12 +146,6 @@ def test_units_that_disagree_are_left_out_and_listed(tmp_path: Path) -> None:
     [
         ("<listOfRules><algebraicRule>{x}</algebraicRule></listOfRules>", "algebraic rules are not offered yet"),
         ('<listOfRules><rateRule variable="x">{delay}</rateRule></listOfRules>', "a delay is not offered yet"),
-        (
-            '<listOfEvents><event id="e" useValuesFromTriggerTime="true">'
-            '<trigger initialValue="true" persistent="true">'
-            "{x}</trigger><delay>{x}</delay></event></listOfEvents>",
-            "events with a delay are not offered yet",
-        ),
         ('<listOfRules><rateRule variable="x">{ceiling}</rateRule></listOfRules>', "`ceiling` of a quantity"),
         ('<listOfRules><rateRule variable="x">{unknown}</rateRule></listOfRules>', "nothing declares it"),
     ],
@@ -173,12 +167,9 @@ def test_what_has_no_form_is_refused_with_its_place(tmp_path: Path, part: str, r
 
 
 def test_all_reasons_are_given_at_once(tmp_path: Path) -> None:
-    events = "".join(
-        f'<event id="e{i}" useValuesFromTriggerTime="true"><trigger initialValue="true" persistent="true">'
-        f"{made.math('<true/>')}</trigger><delay>{made.math('<cn>1</cn>')}</delay></event>"
-        for i in range(3)
-    )
-    path = made.stored(tmp_path, made.sbml(made.parameters("false", x="1"), f"<listOfEvents>{events}</listOfEvents>"))
+    time = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">time</csymbol>'
+    events = (made.event(f"e{i}", made.apply("eq", time, "1"), {"x": "<cn>2</cn>"}) for i in range(3))
+    path = made.stored(tmp_path, made.sbml(made.parameters("false", x="1"), made.happening(*events)))
     with pytest.raises(UserError) as raised:
         import_file(path, tmp_path / "out")
     assert len(raised.value.diagnostics) == 3

@@ -55,19 +55,94 @@ def test_the_larger_priority_comes_first(tmp_path: Path) -> None:
     assert solved(tmp_path, made.sbml(FIXED, events))["x"] == pytest.approx([1, 7, 7])
 
 
+def delay(value: str) -> str:
+    return f"<delay>{made.math(value)}</delay>"
+
+
+def test_a_delayed_event_keeps_the_values_of_its_trigger(tmp_path: Path) -> None:
+    """`e` sees y at its trigger; it is told so only where it matters."""
+    events = made.happening(
+        made.event("e", at("0.5"), {"x": "<ci>y</ci>"}, delay("<cn>1</cn>")),
+        made.event("g", at("0.75"), {"y": "<cn>5</cn>"}),
+        made.event("h", at("1"), {"w": "<cn>3</cn>"}, delay(made.apply("times", "2", "x")), persistent="false"),
+    )
+    text = text_of(tmp_path, made.sbml(FIXED, events))
+    assert "event e when t >= 0.5 after 1 sampled: x = y" in text
+    assert "event h when t >= 1 after 2*x transient: w = 3" in text
+    found = solved(tmp_path, made.sbml(FIXED, events))
+    assert found["x"] == pytest.approx([1, 1, 1])
+    assert found["y"] == pytest.approx([1, 5, 5])
+
+
+def test_events_at_one_time_see_the_values_before(tmp_path: Path) -> None:
+    events = made.happening(
+        made.event("e", at("0.5"), {"x": made.apply("plus", "y", "1")}),
+        made.event("f", at("0.5"), {"y": made.apply("plus", "x", "2")}),
+    )
+    found = solved(tmp_path, made.sbml(FIXED, events))
+    assert found["x"] == pytest.approx([1, 2, 2])
+    assert found["y"] == pytest.approx([1, 3, 3])
+
+
+def test_an_event_at_the_start_is_written_into_the_starts(tmp_path: Path) -> None:
+    """By priority; `f` is cancelled by `e`, which makes its trigger false; `g` waits from the start."""
+    high = f"<priority>{made.math('<cn>2</cn>')}</priority>"
+    low = made.apply("lt", "x", "1.5")
+    events = made.happening(
+        made.event("f", low, {"w": "<cn>7</cn>"}, initial="false", persistent="false"),
+        made.event("e", at("0"), {"x": made.apply("plus", "x", "1")}, high, initial="false"),
+        made.event("g", at("0"), {"y": "<cn>4</cn>"}, delay("<cn>1.5</cn>"), initial="false"),
+    )
+    text = text_of(tmp_path, made.sbml(FIXED, events))
+    assert "discrete x = 1 + 1" in text
+    assert "event g when t >= 0 after 1.5 armed: y = 4" in text
+    found = solved(tmp_path, made.sbml(FIXED, events))
+    assert found["x"] == pytest.approx([2, 2, 2])
+    assert found["y"] == pytest.approx([1, 1, 4])
+    assert found["w"] == pytest.approx([0, 0, 0])
+
+
+def test_a_priority_may_be_computed(tmp_path: Path) -> None:
+    def ranked(name: str, rank: str, value: str) -> str:
+        return made.event(name, at("0.5"), {"x": value}, f"<priority>{made.math(rank)}</priority>")
+
+    events = made.happening(ranked("one", "<cn>1</cn>", "<cn>7</cn>"), ranked("two", "<ci>x</ci>", "<cn>5</cn>"))
+    assert "priority x: x = 5" in text_of(tmp_path, made.sbml(FIXED, events))
+    assert solved(tmp_path, made.sbml(FIXED, events))["x"] == pytest.approx([1, 5, 5])
+
+
+def test_a_concentration_and_its_compartment_at_one_time(tmp_path: Path) -> None:
+    """The amount is that by the size before, as the test suite has it."""
+    event = made.event("e", at("0.5"), {"A": "<cn>3</cn>", "C": "<cn>4</cn>"})
+    species = made.species("A", amount="4", boundary="true")
+    found = solved(tmp_path, made.sbml(made.compartments("2", constant="false"), species, made.happening(event)))
+    assert found["A"] == pytest.approx([2, 1.5, 1.5])
+
+
+def test_a_random_order_is_refused(tmp_path: Path) -> None:
+    rank = f"<priority>{made.math('<cn>1</cn>')}</priority>"
+    events = [
+        made.event(name, made.apply("lt", "x", TIME), {"x": TIME, name: "<cn>2</cn>"}, rank, persistent="false")
+        for name in ("y", "w")
+    ]
+    with pytest.raises(UserError, match="random order"):
+        import_file(made.stored(tmp_path, made.sbml(FIXED, made.happening(*events))), tmp_path / "out")
+
+
+both_x = made.apply("gt", "x", "1.5")
+
+
 @pytest.mark.parametrize(
     ("events", "reason"),
     [
-        ([made.event("e", at("0"), {"x": "<cn>2</cn>"}, initial="false")], "happen at the start"),
         ([made.event("e", made.apply("gt", TIME, "0"), {"x": "<cn>2</cn>"})], "lies at its threshold"),
         ([made.event("e", made.apply("eq", TIME, "1"), {"x": "<cn>2</cn>"})], "a trigger with `==`"),
         (
-            [made.event("e", at("1"), {"x": "<cn>2</cn>"}, f"<priority>{made.math('<ci>y</ci>')}</priority>")],
-            "a priority that is not a number",
-        ),
-        (
-            [made.event("e", at("1"), {"x": "<ci>y</ci>"}), made.event("f", at("1"), {"y": "<ci>x</ci>"})],
-            "it can happen together with another event",
+            [
+                made.event("e", at("0"), {"x": "<cn>2</cn>"}, initial="false"),
+                made.event("f", both_x, {"y": "<cn>3</cn>"}),
+            ],
+            "another event at the start can make it happen",
         ),
         (
             [

@@ -241,7 +241,7 @@ class _Trajectory:
         for _ in range(CASCADE):
             if not pending.any():
                 return
-            k = int(np.argmax(pending))
+            k = self.next_one(place, pending)
             pending[k] = False
             u = self.inputs(place.time)
             earlier = self.guards(place.time, place.state)
@@ -250,6 +250,7 @@ class _Trajectory:
                     math, place.time, place.state, self.problem.condition, u, self.constants, self.solver._networks
                 )
             place.state = np.array(states[k], dtype=np.float64)
+            self.check(place, k)
             guard = self.guards(place.time, place.state)
             fired = np.zeros(len(guard), dtype=bool)
             if k < timed:
@@ -258,11 +259,33 @@ class _Trajectory:
                 fired[k - timed] = True
             # A guard that the event did not change is zero up to rounding: only its rate says which sign follows.
             rates = self.rates(place.time, place.state)
-            zero = (guard == earlier) & fired & (np.abs(guard) <= 2 * CLOSE * self.span * np.abs(rates))
+            zone = 2 * CLOSE * self.span * np.abs(rates)
+            zero = (guard == earlier) & (np.abs(guard) <= zone)
             still = np.where(zero & (not jumped), rates > 0, guard >= 0)
-            pending[timed:] |= ~place.on & ~fired & (guard >= 0) & (earlier < 0)
+            pending[timed:] |= ~place.on & ~fired & (guard >= 0) & ((earlier < 0) | (guard > zone))
             place.on = (place.on | fired) & still
         self.fail(place, f"more than {CASCADE} events happen at one time")
+
+    def next_one(self, place: _Place, pending: Flags) -> int:
+        """The number of the pending event that comes first: timed ones, then by priority, then as they are listed."""
+        equations, math, timed = self.solver._instance.equations, self.solver._math, self.solver._timed
+        if not hasattr(equations, "ranks") or pending[:timed].any():
+            return int(np.argmax(pending))
+        u, networks = self.inputs(place.time), self.solver._networks
+        ranks = equations.ranks(math, place.time, place.state, self.problem.condition, u, self.constants, networks)
+        sizes = np.nan_to_num(np.asarray(ranks, dtype=np.float64), nan=-np.finfo(np.float64).max)
+        return int(np.argmax(np.where(pending, sizes, -np.inf)))
+
+    def check(self, place: _Place, k: int) -> None:
+        """Raises ComputationError if an event gave a state no value."""
+        lost = [n for n, v in zip(self.solver._instance.states, place.state, strict=True) if not np.isfinite(v)]
+        if lost:
+            name = self.solver._events[k][0]
+            raise ComputationError(
+                f"the event `{name}` sets `{lost[0]}` to what is not a finite number",
+                where=f"at t = {place.time:.6g}",
+                remedy="look at its right sides; an event that begins again while it waits needs `queue n`",
+            )
 
     def fail(self, place: _Place, what: str) -> None:
         names = self.solver._instance.states

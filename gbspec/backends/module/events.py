@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+
+import sympy
 
 from gbspec.backends.module.equations import PARAMETERS, body_of, scope
 from gbspec.backends.module.writing import comma, method_text
@@ -11,7 +14,7 @@ from gbspec.ir import Expr, Model
 
 
 def methods(model: Model) -> list[str]:
-    """`events`, `guards`, `timing` and `happen`, in models that have events."""
+    """`events`, `guards`, `ranks`, `timing` and `happen`, in models that have events."""
     if not model.events:
         return []
     table = [f"({json.dumps(e.name, ensure_ascii=False)}, {e.timing is not None}, {e.armed})" for e in model.events]
@@ -25,19 +28,32 @@ def methods(model: Model) -> list[str]:
         ["return _Events(cls, given, quiet, band, strict)"],
     )
     found.append(cutting)
+    if any(e.rank is not None for e in model.events):
+        found.append(_ranks(model))
     return [*found, *([_timing(model)] if any(e.timing is not None for e in model.events) else []), _happen(model)]
 
 
 def _guards(model: Model) -> str:
     """`guards`: a number for each event with a condition."""
-    names = scope(model)
     guards = [(event.name, event.guard) for event in model.events if event.guard is not None]
-    outputs = [Assignment(temporary(f"guard{i}"), guard, name) for i, (name, guard) in enumerate(guards)]
+    document = "For each event with a condition a number that becomes positive where the condition becomes true."
+    return _numbers(model, "guards", guards, document)
+
+
+def _ranks(model: Model) -> str:
+    """`ranks`: the priority of each event."""
+    ranks = [(e.name, sympy.Float(e.priority) if e.rank is None else e.rank) for e in model.events]
+    return _numbers(model, "ranks", ranks, "The priority of each event, in models where one is computed.")
+
+
+def _numbers(model: Model, method: str, values: Sequence[tuple[str, Expr]], document: str) -> str:
+    """A method with a number for each of some events."""
+    names = scope(model)
+    outputs = [Assignment(temporary(f"number{i}"), value, name) for i, (name, value) in enumerate(values)]
     lines = body_of(model, outputs, names)
     lines.append(f"return math.pack(state, ({comma(names[output.symbol] for output in outputs)}))")
     parameters = ["cls", "math", names[model.time.symbol], "state", "condition", "inputs", "constants", "networks"]
-    document = "For each event with a condition a number that becomes positive where the condition becomes true."
-    return method_text("@classmethod", "guards", parameters, document, lines)
+    return method_text("@classmethod", method, parameters, document, lines)
 
 
 def _timing(model: Model) -> str:

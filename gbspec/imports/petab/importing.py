@@ -12,6 +12,7 @@ import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
 
 import libsbml
 
@@ -29,29 +30,55 @@ from gbspec.imports.formulas import (
     replaced,
     spelled_number,
 )
-from gbspec.imports.petab.problem import FILE, LINE, Row, Tables, read_problem
+from gbspec.imports.petab.courses import Courses, uses_time
+from gbspec.imports.petab.networks import Networks, read_networks
+from gbspec.imports.petab.problem import FILE, LINE, Row, Tables, files_of, read_document, read_first, rows_of, version
+from gbspec.imports.petab.second import Second, read_second, steady
+from gbspec.imports.safety import refused
 from gbspec.imports.sbml import Change, NotOfferedError, described_model, formula_of, read_model
 from gbspec.imports.writing import model_name, written
 
 DATA = "data.csv"
+OPTIONS = {"forcing": "autoregressive"}
+"""The objective of PEtab is that of whole solutions: measurements reset no state."""
+_PREDICTION = " prediction"
+"""After the name of an observable: the prediction, in its noise. No quantity is named so."""
+Key: TypeAlias = tuple[str, str, str, str]
+"""An observable, its parameters and those of its noise, and the change at whose time it is measured."""
 
 
 def import_petab(path: Path) -> Imported:
-    """The description of a PEtab 1 problem, and its table.
+    """The description of a problem of PEtab 1 or 2, and its table.
 
     Raises `UserError`: GB894 if a file is not read, GB895 with everything that cannot be expressed."""
-    tables = read_problem(path)
-    report = Report(str(path))
+    document, report = read_document(path), Report(str(path))
+    kind = version(document)
+    if kind not in ("1", "2"):
+        raise refused(path, f"PEtab {document['format_version']} is not offered; PEtab 1 and 2 are")
+    tables, second = (read_first(path, document), Second()) if kind == "1" else read_second(path, document)
     model = read_model(tables.model, report).getModel()
-    problem = _Problem(tables, model, report)
+    problem = _Problem(path, tables, model, report, second)
     change = problem.change()
     made = described_model(model, report, tables.model, change)
     _check_noise(made, report)
+    _check_times(made, second, report)
     made.name = model_name(path.stem)
     made.source = path.name
     report.raise_if_refused()
     columns = written(made).columns
-    return Imported(made, tuple(report.left_out), {DATA: problem.table(columns)})
+    return Imported(made, tuple(report.left_out), {DATA: problem.table(columns)}, OPTIONS)
+
+
+def _check_times(made: Description, second: Second, report: Report) -> None:
+    """The table's times count from the start of each experiment, which is 0 in the model."""
+    for name in steady(second):
+        report.refuse(f"experiment {name}", 0, "pre-equilibration is not offered yet")
+    late = [name for name, start in second.starts.items() if start and math.isfinite(start)]
+    for name in late:
+        if uses_time(made):
+            report.refuse(f"experiment {name}", 0, "it begins at another time than 0, and the model contains the time")
+        else:
+            report.omit(f"experiment {name}", 0, f"its start, {second.starts[name]:g}: times count from it")
 
 
 def _check_noise(made: Description, report: Report) -> None:
@@ -65,13 +92,15 @@ def _check_noise(made: Description, report: Report) -> None:
 
 @dataclass
 class _Problem:
+    path: Path
     tables: Tables
     model: libsbml.Model
     report: Report
+    second: Second
     constants: dict[str, Quantity] = field(default_factory=dict)
     assigned: dict[str, Formula] = field(default_factory=dict)
     starts: dict[str, Formula] = field(default_factory=dict)
-    channels: dict[tuple[str, str, str], Channel] = field(default_factory=dict)
+    channels: dict[Key, Channel] = field(default_factory=dict)
     values: dict[str, dict[str, str]] = field(default_factory=dict)
     """The numbers of each condition's columns by name."""
     experiment: str = "experiment"
@@ -83,12 +112,54 @@ class _Problem:
 
     def change(self) -> Change:
         """What the problem says of its model."""
+        networks = self._networks()
         for row in self.tables.parameters:
-            self._parameter(row)
+            if row.get("parameterId", "") not in networks.scopes:
+                self._parameter(row)
         self._conditions()
+        self._hybrid(networks)
+        self.courses = Courses(self.second, self.values, self.experiment, self._formula)
         for row in self.tables.measurements:
             self._measured(row)
-        return Change(self.constants, self.assigned, self.starts, tuple(self.channels.values()))
+        happenings = self.courses.happenings(self.constants)
+        return Change(self.constants, self.assigned, self.starts, happenings, tuple(self.channels.values()))
+
+    # ------------------------------------------------------------------------------------------------------ networks
+    def _networks(self) -> Networks:
+        """The networks of PEtab-SciML; without any where the problem has none."""
+        if not self.second.sciml:
+            return Networks()
+        rows = rows_of(files_of(self.path, self.second.sciml.get("hybridization_files")))
+        return read_networks(self.path, self.second, rows, parsed)
+
+    def _hybrid(self, networks: Networks) -> None:
+        """What networks add: weights, units, inputs from arrays, and the quantities that they set."""
+        for weight in networks.weights:
+            row = networks.governing(weight, self.tables.parameters)
+            if row is not None:
+                text = row.get("nominalValue", "")
+                value = spelled_number(weight.value) if text in ("", "array") else text
+                self._parameter({**row, "parameterId": weight.name, "nominalValue": value})
+            else:
+                self.constants[weight.name] = Quantity(weight.name, number(weight.value))
+        self.assigned |= networks.lets
+        for name, text in networks.hybrid.items():
+            formula = parsed(text)
+            if self.model.getSpecies(name) is not None:
+                self.starts[name] = formula
+            else:
+                self.assigned[name] = formula
+                self.constants.pop(name, None)
+        for name, numbers in networks.arrays.items():
+            if "0" in numbers:
+                self.constants[name] = Quantity(name, number(numbers["0"]))
+                continue
+            self.constants[name] = Quantity(name, None, condition=True)
+            for experiment, row in self.values.items():
+                here = [numbers[one] for one in self.second.conditions.get(experiment, ()) if one in numbers]
+                if len(here) != 1:
+                    self.report.refuse(f"experiment {experiment}", 0, f"`{name}` has no value, or several")
+                row[name] = spelled_number(here[0] if here else 0.0)
 
     # ---------------------------------------------------------------------------------------------------- parameters
     def _parameter(self, row: Row) -> None:
@@ -145,7 +216,7 @@ class _Problem:
 
     def _column(self, column: str, rows: list[Row]) -> None:
         """One quantity that conditions change."""
-        species = self.model.getSpecies(column) is not None
+        species = self.model.getSpecies(column) is not None or self.second.changes(column)
         cells = [row.get(column, "") for row in rows]
         if species and all(not cell or (_number(cell) is None and cell.lower() == "nan") for cell in cells):
             return
@@ -179,7 +250,7 @@ class _Problem:
         if value is not None:
             return number(value)
         if cell and cell.lower() != "nan":
-            return named(cell)
+            return self._formula(cell, f"condition table, {column}", row)
         known = self.constants.get(column)
         if known is not None and known.learn is None and known.value is not None:
             return known.value
@@ -211,7 +282,7 @@ class _Problem:
             self._refuse(f"measurement of {name}", row, "a measurement at the steady state is not offered yet")
         if _number(row.get("measurement", "")) is None:
             self._refuse(f"measurement of {name}", row, "it has no value")
-        key = _key(row)
+        key = self._key(row)
         if key in self.channels:
             return
         observable = next((one for one in self.tables.observables if one.get("observableId") == name), None)
@@ -220,16 +291,23 @@ class _Problem:
             return
         table = self._placeholders("observableParameter", name, row.get("observableParameters", ""))
         table |= self._placeholders("noiseParameter", name, row.get("noiseParameters", ""))
+        for kind in ("observable", "noise"):
+            given = row.get(f"{kind}Parameters", "").split(";")
+            holders = observable.get(f"{kind}Placeholders", "").split(";")
+            table |= {k.strip(): self._value(v.strip()) for k, v in zip(holders, given, strict=False) if k and v}
         try:
-            value = replaced(_parsed(observable.get("observableFormula", "")), table)
-            sd = replaced(_parsed(observable.get("noiseFormula", "")), table)
+            now = self.courses.values_at(key[3]) if key[3] else {}
+            value = replaced(replaced(parsed(observable.get("observableFormula", "")), table), now)
+            own = {name: named(name + _PREDICTION)} if name not in table else {}
+            sd = replaced(replaced(parsed(observable.get("noiseFormula", "")), table | own), now)
         except NotOfferedError as problem:
             self._refuse(f"observable {name}", observable, str(problem))
             return
         number_of = sum(one[0] == name for one in self.channels)
         label = f"{name}_{number_of + 1}" if number_of else name
         # In the noise of a channel its own name is the prediction.
-        own = {value.name: named(label)} if value.head == "name" else {}
+        own = {name + _PREDICTION: named(label)}
+        own |= {value.name: named(label)} if value.head == "name" else {}
         noise = self._noise(observable, replaced(sd, own))
         self.channels[key] = Channel(label, value, label, noise)
 
@@ -254,9 +332,24 @@ class _Problem:
         found = {}
         for i, part in enumerate(one.strip() for one in text.split(";")):
             if part:
-                value = _number(part)
-                found[f"{kind}{i + 1}_{name}"] = named(part) if value is None else number(value)
+                found[f"{kind}{i + 1}_{name}"] = self._value(part)
         return found
+
+    def _value(self, text: str) -> Formula:
+        value = _number(text)
+        return named(text) if value is None else number(value)
+
+    def _formula(self, text: str, what: str, row: Row) -> Formula | None:
+        try:
+            return parsed(text)
+        except NotOfferedError as problem:
+            self._refuse(what, row, str(problem))
+            return None
+
+    def _key(self, row: Row) -> Key:
+        """Measurements of one channel; those at the time of a change are of the values after it."""
+        switch = self.courses.at(row["simulationConditionId"], _number(row.get("time", "")))
+        return row.get("observableId", ""), row.get("observableParameters", ""), row.get("noiseParameters", ""), switch
 
     # --------------------------------------------------------------------------------------------------- measurements
     def table(self, columns: dict[str, str]) -> str:
@@ -264,7 +357,8 @@ class _Problem:
         cells: dict[tuple[str, int], dict[float, dict[str, str]]] = {}
         for row in self.tables.measurements:
             condition, time = row.get("simulationConditionId", ""), float(row["time"])
-            column = columns[self.channels[_key(row)].id]
+            time -= self.second.starts.get(condition, 0.0)  # steady starts were refused
+            column = columns[self.channels[self._key(row)].id]
             replicate = 0
             while column in cells.get((condition, replicate), {}).get(time, {}):
                 replicate += 1
@@ -289,10 +383,6 @@ class _Problem:
         self.report.omit(f"{row[FILE]}, {element}", int(row[LINE]), reason)
 
 
-def _key(row: Row) -> tuple[str, str, str]:
-    return row.get("observableId", ""), row.get("observableParameters", ""), row.get("noiseParameters", "")
-
-
 def _number(text: str) -> float | None:
     """The number of a cell; None for a name, an empty cell, and what is not a finite number."""
     try:
@@ -310,7 +400,7 @@ def _plain(formula: Formula) -> Formula:
         return formula
 
 
-def _parsed(text: str) -> Formula:
+def parsed(text: str) -> Formula:
     """A formula in infix notation, as PEtab writes it: `log` is the natural logarithm. Raises `NotOfferedError`."""
     settings = libsbml.L3ParserSettings()
     settings.setParseLog(libsbml.L3P_PARSE_LOG_AS_LN)

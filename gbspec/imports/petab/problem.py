@@ -29,34 +29,42 @@ class Tables:
     parameters: list[Row]
 
 
-def read_problem(path: Path) -> Tables:
-    """The tables of a problem file. Raises `UserError` (GB894) if it is no problem of PEtab 1."""
+def read_document(path: Path) -> dict[str, Any]:
+    """A problem file. Raises `UserError` (GB894) if it is none."""
     try:
         document: Any = yaml.safe_load(read_file(path, MOST_YAML).decode("utf-8", errors="replace"))
     except (yaml.YAMLError, RecursionError):
         raise refused(path, "it is no YAML") from None
     if not isinstance(document, dict) or "format_version" not in document:
         raise refused(path, "it is no PEtab problem: `format_version` is not in it")
-    if str(document["format_version"]).partition(".")[0] != "1":
-        raise refused(path, f"PEtab {document['format_version']} is not offered yet; PEtab 1 is")
+    return document
+
+
+def version(document: dict[str, Any]) -> str:
+    """The number before the first point of a problem's version."""
+    return str(document["format_version"]).partition(".")[0]
+
+
+def read_first(path: Path, document: dict[str, Any]) -> Tables:
+    """The tables of a problem of PEtab 1. Raises `UserError` (GB894)."""
     problems = document.get("problems")
     if not isinstance(problems, list) or len(problems) != 1 or not isinstance(problems[0], dict):
         raise refused(path, "it has not exactly one problem")
     one = problems[0]
-    models = _files(path, one.get("sbml_files"))
+    models = files_of(path, one.get("sbml_files"))
     if len(models) != 1:
         raise refused(path, "it has not exactly one SBML model")
     parameters = document.get("parameter_file")
     return Tables(
         models[0],
-        _rows(_files(path, one.get("condition_files"))),
-        _rows(_files(path, one.get("measurement_files"))),
-        _rows(_files(path, one.get("observable_files"))),
-        _rows(_files(path, parameters if isinstance(parameters, list) else [parameters])),
+        rows_of(files_of(path, one.get("condition_files"))),
+        rows_of(files_of(path, one.get("measurement_files"))),
+        rows_of(files_of(path, one.get("observable_files"))),
+        rows_of(files_of(path, parameters if isinstance(parameters, list) else [parameters])),
     )
 
 
-def _files(path: Path, names: Any) -> list[Path]:
+def files_of(path: Path, names: Any) -> list[Path]:
     """Files beside the problem, or below its folder."""
     found = []
     for name in names if isinstance(names, list) else []:
@@ -67,7 +75,8 @@ def _files(path: Path, names: Any) -> list[Path]:
     return found
 
 
-def _rows(paths: Iterable[Path]) -> list[Row]:
+def rows_of(paths: Iterable[Path]) -> list[Row]:
+    """The rows of tables; each knows its place."""
     found = []
     for path in paths:
         text = read_file(path, MOST_TABLE).decode("utf-8", errors="replace").removeprefix("\ufeff")

@@ -1,3 +1,4 @@
+from .book import Happening as Happening
 from .importing import Change as Change
 from .importing import described_model as described_model
 from .importing import import_sbml as import_sbml

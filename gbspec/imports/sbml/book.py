@@ -33,17 +33,29 @@ class Reaction:
 
 @dataclass(frozen=True)
 class Happening:
-    """An event without a delay. `armed`: it happens at the start if its trigger is true there; `persistent`: another
-    event at the same time does not cancel it; `early`: its values are those before other events at the same time."""
+    """An event. `armed`: it happens at the start if its trigger is true there; `persistent`: it happens also if its
+    trigger ends before; `early`: its values are those when it is triggered; `ranked`: the file gives its priority."""
 
     id: str
     condition: Formula
     values: Mapping[str, Formula]
-    priority: float
+    delay: Formula
+    priority: Formula
+    ranked: bool
     armed: bool
     persistent: bool
     early: bool
     element: Element
+
+    def formulas(self) -> tuple[Formula, ...]:
+        """All its formulas."""
+        return (self.condition, self.delay, self.priority, *self.values.values())
+
+    def put(self, change: Callable[[Formula], Formula]) -> Happening:
+        """It with all its formulas changed."""
+        values = {name: change(value) for name, value in self.values.items()}
+        condition, delay, priority = change(self.condition), change(self.delay), change(self.priority)
+        return replace(self, condition=condition, values=values, delay=delay, priority=priority)
 
 
 @dataclass
@@ -61,6 +73,8 @@ class Book:
     """The constants of kinetic laws, under names that the whole model can have."""
     references: dict[str, Element] = field(default_factory=dict)
     """The species references with a name, whose value is their stoichiometry."""
+    happening: frozenset[str] = frozenset()
+    """What the events of the file set."""
 
     def math(self, owner: Element, what: str, local: Mapping[str, str] | None = None) -> Formula | None:
         """The formula of an element; None without one, or if it was refused."""
@@ -81,10 +95,7 @@ class Book:
             terms = tuple(replace(term, factor=put(term.factor)) for term in reaction.terms)
             law = None if reaction.law is None else put(reaction.law)
             self.reactions[name] = replace(reaction, law=law, terms=terms)
-        self.events = [
-            replace(one, condition=put(one.condition), values={k: put(v) for k, v in one.values.items()})
-            for one in self.events
-        ]
+        self.events = [one.put(put) for one in self.events]
 
     def formulas(self) -> Iterable[Formula]:
         """All formulas of the model, with those of kinetic laws."""
@@ -94,7 +105,11 @@ class Book:
             if reaction.law is not None:
                 yield reaction.law
         for event in self.events:
-            yield from (event.condition, *event.values.values())
+            yield from event.formulas()
+
+    def event(self, name: str) -> Happening:
+        """An event by its name."""
+        return next(one for one in self.events if one.id == name)
 
     def targets(self) -> set[str]:
         """What events set."""
@@ -107,7 +122,10 @@ class Book:
 
 def read_book(model: Element, report: Report) -> Book:
     """The symbols of a model; what is not offered is refused in the report."""
-    book = Book(model, report)
+    assigned = (
+        a.getVariable() for e in elements(model.getListOfEvents()) for a in elements(e.getListOfEventAssignments())
+    )
+    book = Book(model, report, happening=frozenset(assigned))
     _refuse(model, report)
     for rule in elements(model.getListOfRules()):
         variable = rule.getVariable()
@@ -181,7 +199,7 @@ def _factor(book: Book, reaction: str, reference: Element) -> Formula:
     name, what = reference.getId(), f"speciesReference to {reference.getSpecies()} in {reaction}"
     if name:
         book.references[name] = reference
-    ruled = name in book.assigned or name in book.rates or name in book.starts
+    ruled = name in book.assigned or name in book.rates or name in book.starts or name in book.happening
     if name and ruled:
         return named(name)
     if reference.getLevel() < 3 and reference.isSetStoichiometryMath():

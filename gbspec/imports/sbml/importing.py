@@ -19,7 +19,7 @@ from gbspec.imports.formulas import (
     walk,
     without_factor,
 )
-from gbspec.imports.sbml.book import Reaction, Term, elements, read_book
+from gbspec.imports.sbml.book import Happening, Reaction, Term, elements, read_book
 from gbspec.imports.sbml.events import add_events, read_events
 from gbspec.imports.sbml.mathml import NotOfferedError, formula_of
 from gbspec.imports.sbml.reading import Element, omit_notes, read_model
@@ -48,11 +48,13 @@ def import_sbml(path: Path) -> Imported:
 @dataclass(frozen=True)
 class Change:
     """What another format says of an SBML model: constants in place of some symbols, or besides them; formulas in place
-    of some constants; other starts; and what is observed (None: everything that can change)."""
+    of some constants, or besides them; other starts; what happens; and what is observed (None: everything that can
+    change)."""
 
     constants: Mapping[str, Quantity] = field(default_factory=dict)
     assigned: Mapping[str, Formula] = field(default_factory=dict)
     starts: Mapping[str, Formula] = field(default_factory=dict)
+    happenings: tuple[Happening, ...] = ()
     channels: tuple[Channel, ...] | None = None
 
 
@@ -61,6 +63,7 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     change = change or Change()
     book = read_book(model, report)
     read_events(book)
+    book.events += change.happenings
     book.starts = {k: v for k, v in book.starts.items() if k not in change.constants and k not in change.assigned}
     book.starts.update(change.starts)
     book.assigned.update(change.assigned)
@@ -68,12 +71,16 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     inline = to_inline(functions)
     book.change(lambda formula: inlined(formula, inline))
     symbols = read_symbols(book)
-    for added in (change.constants.keys() | change.assigned.keys() | change.starts.keys()) & book.targets():
+    for added in (change.constants.keys() | change.assigned.keys()) & book.targets():
         report.refuse(*symbols.place(added), "events change it, and the problem sets it, which is not offered yet")
     for added, quantity in change.constants.items():
         known = symbols.constants.get(added)
         symbols.constants[added] = quantity if known is None else replace(quantity, unit=known.unit)
         symbols.starts[added] = quantity.value
+    for added, formula in change.assigned.items():
+        if added not in symbols.lines:
+            symbols.intermediates[added] = Quantity(added, inlined(formula, inline))
+            symbols.starts[added] = symbols.intermediates[added].value
     name = model.getId() or path.stem
     out = Description(model_name(name), title=model.getName() or name, source=path.name)
     out.time_unit = time_unit(model)

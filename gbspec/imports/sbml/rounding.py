@@ -69,7 +69,13 @@ def without_rounding(out: Description, report: Report, place: Place) -> None:
         for c in out.conversions
     ]
     out.events = [
-        replace(e, condition=put(e.id, e.condition), values=tuple((state, put(e.id, v)) for state, v in e.values))
+        replace(
+            e,
+            condition=put(e.id, e.condition),
+            after=None if e.after is None else put(e.id, e.after),
+            priority=put(e.id, e.priority),
+            values=tuple((state, put(e.id, v)) for state, v in e.values),
+        )
         for e in out.events
     ]
     out.balances = {name: put(name, value) for name, value in out.balances.items()}

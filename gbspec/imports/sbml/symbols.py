@@ -6,11 +6,12 @@ size changes, reactions change the amount, so that the amount is the state, and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from gbspec.imports.description import Quantity
-from gbspec.imports.formulas import ZERO, Formula, named, number, substituted
-from gbspec.imports.sbml.book import Book, Reaction, elements, finite, literal_factor
+from gbspec.imports.formulas import ZERO, Formula, named, names, number, substituted, walk
+from gbspec.imports.sbml.book import Book, Happening, Reaction, elements, finite, literal_factor
 from gbspec.imports.sbml.reading import Element
 from gbspec.imports.sbml.units import species_unit, unit_of
 
@@ -43,6 +44,35 @@ class Symbols:
     def state_of(self, species: str) -> str:
         """The state that reactions of a species change."""
         return self.amounts.get(species, species)
+
+    def reached(self, formula: Formula) -> tuple[set[str], bool]:
+        """The names that a formula depends on, also through other formulas, and whether it depends on the time."""
+        found: set[str] = set()
+        open_, time = [formula], False
+        while open_:
+            one = open_.pop()
+            time |= any(node.head == "time" for node in walk(one))
+            for name in names(one) - found:
+                found.add(name)
+                reaction, quantity = self.book.reactions.get(name), self.intermediates.get(name)
+                value = reaction.law if reaction else quantity.value if quantity else None
+                if value is not None:
+                    open_.append(value)
+        return found, time
+
+    def changes(self, formula: Formula) -> bool:
+        """Whether a formula changes over time."""
+        found, time = self.reached(formula)
+        return time or bool(found & self.states.keys())
+
+    def moves(self, formula: Formula) -> bool:
+        """Whether a formula changes other than by events."""
+        found, time = self.reached(formula)
+        return time or any(name in self.states and not self.states[name].discrete for name in found)
+
+    def refusing(self, one: Happening) -> Callable[[str], None]:
+        """What refuses an event by a reason."""
+        return lambda reason: self.book.report.refuse(f"event {one.id}", one.element.getLine(), reason)
 
     def place(self, name: str) -> tuple[str, int]:
         """The element and line of a symbol."""

@@ -33,8 +33,10 @@ class EventStatement(Named, Formula):
     every: Expression | None = None
     until: Expression | None = None
     after: Expression | None = None
+    queue: Expression | None = None
     priority: Expression | None = None
     transient: bool = False
+    sampled: bool = False
     armed: bool = False
     description: Text | None = None
 
@@ -58,7 +60,7 @@ class EventStatement(Named, Formula):
                 name.span,
                 help="write two events: one for the condition, one for the times",
             )
-        for word in ("after", "transient", "armed"):
+        for word in ("after", "queue", "transient", "sampled", "armed"):
             if word in found and timed:
                 reader.problem(
                     "GB345",
@@ -75,8 +77,10 @@ class EventStatement(Named, Formula):
             found.get("every"),
             found.get("until"),
             found.get("after"),
+            found.get("queue"),
             found.get("priority"),
             "transient" in found,
+            "sampled" in found,
             "armed" in found,
             found.get("text"),
         )
@@ -85,10 +89,13 @@ class EventStatement(Named, Formula):
         """The condition, the times, and the right sides."""
         if self.condition is not None:
             yield Place(self.condition, rules.ANY)
-        for time in (self.at, self.every, self.until, self.after):
+        for time in (self.at, self.every, self.until):
             if time is not None:
                 yield Place(time, rules.TIMING)
-        if self.priority is not None:
-            yield Place(self.priority, rules.CONSTANT)
+        if self.queue is not None:
+            yield Place(self.queue, rules.CONSTANT)
+        for value in (self.after, self.priority):
+            if value is not None:
+                yield Place(value, rules.ANY)
         for assignment in self.assignments:
             yield Place(assignment.value, rules.ANY)

@@ -84,6 +84,9 @@ class ClauseRules(ExpressionRules):
     def after_clause(self, children: Children) -> Clause:
         return self._number("after", children)
 
+    def queue_clause(self, children: Children) -> Clause:
+        return self._number("queue", children)
+
     def priority_clause(self, children: Children) -> Clause:
         return self._number("priority", children)
 

@@ -2,7 +2,8 @@
 
 Solutions run from the starts of the trajectories to their ends; measurements reset nothing. Steps are adaptive, first
 by a method of order 5, and by a stiff one if that finds no solution. The tolerance falls by a factor of ten until
-the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes.
+the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes. With events steps
+are equal, and halved: the control of adaptive steps does not see what happens within a step.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ TOLERANCES: Mapping[str, tuple[float, ...]] = {
     STIFF.name: (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10),
 }
 """The relative tolerances that are tried, method by method."""
+PARTS = (16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
+"""The numbers of equal steps that are tried for the longest trajectory, for models with events."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +85,13 @@ class _Trial:
 def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluated:
     """The objective at a point. Raises ComputationError if there is no solution from the starts there."""
     reached: Evaluated | None = None
-    for method in (DOPRI5, STIFF):
+    for method in (DOPRI5,) if model.events else (DOPRI5, STIFF):
         previous: Evaluated | None = None
         for problem, trial in _trials(model, trajectories, given, method):
             if not np.isfinite(trial.mean).all():
+                previous = None
+                if model.events:
+                    continue
                 break
             found = _judged(model, problem, trial, given, method, previous)
             if reached is None or found.accuracy <= reached.accuracy:
@@ -103,25 +109,33 @@ def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluate
 
 
 def _trials(model: Model, trajectories: Trajectories, given: Given, method: Method) -> Iterator[tuple[Problem, _Trial]]:
-    """Predictions by a method at one tolerance after the other."""
+    """Predictions by a method at one tolerance, or by equal steps of one size, after the other."""
     module = load_module(model, method)
     instance = module(dict(given.weights)) if model.networks else module.random(0)
-    packed = pack(trajectories, model, np.inf, method=method)
-    scaling = scaling_of(model, packed, trajectories)
-    problem = Problem(model, instance, packed, teacher_forcing(model, packed, 0.0), scaling)
-    choice = choose(model, module, TrainOptions(), packed.substeps, worthwhile=True)
     fixed = {k: v for k, v in given.weights.items() if k.endswith(("_center", "_scale"))}
     scale = np.where(np.abs(given.starts).max(axis=0) > 0, np.abs(given.starts).max(axis=0), 1.0)
-    for tolerance in TOLERANCES[method.name]:
-        controlled = replace(problem, control=Control(tolerance, scale))
-        individuals = Individuals(controlled, model, given.starts, fixed, choice)
+
+    def posed(largest: float) -> Problem:
+        packed = pack(trajectories, model, largest, method=method)
+        scaling = scaling_of(model, packed, trajectories)
+        return Problem(model, instance, packed, teacher_forcing(model, packed, 0.0), scaling)
+
+    if model.events:
+        span = max(float(item.times[-1] - item.start) for item in trajectories.items)
+        problems = (posed(span / parts if span > 0 else np.inf) for parts in PARTS)
+    else:
+        whole = posed(np.inf)
+        problems = (replace(whole, control=Control(tolerance, scale)) for tolerance in TOLERANCES[method.name])
+    for problem in problems:
+        choice = choose(model, module, TrainOptions(), problem.packed.substeps, worthwhile=True)
+        individuals = Individuals(problem, model, given.starts, fixed, choice)
         vector = [np.ravel(given.weights[name]) for name in individuals.parameters.weight_shapes]
         weights = np.concatenate([np.zeros(0), *vector])
         theta = individuals.vector(given.constants, weights)
         moments = individuals.engine.moments(theta, individuals.engine.plan(theta))
         with np.errstate(all="ignore"):
             found = individuals.first(given.constants, weights)
-        yield controlled, _Trial(found.mean, found.constants)
+        yield problem, _Trial(found.mean, found.constants)
         scale = _sizes(moments.before, moments.initial, scale)
 
 

@@ -12,6 +12,7 @@ from gbspec.backends.module.template.vectors import _tensor
 # ---------------------------------------------------------------------- events
 # `equations.events` has (name, timed, armed) of each event, in the order in which they happen at one time, timed ones
 # first; `guards` a number for each of the others, which becomes positive or zero where its condition becomes true;
+# `ranks` the priority of each event, where one is computed (else the order is that of `events`);
 # `timing` the first time of each timed one, its interval and its last time (None where there is none); `happen` the
 # state after each event. A step is cut where an event happens: its time is found without derivatives, and a last
 # correction by Newton's method gives it those of the implicit function.
@@ -208,14 +209,16 @@ class _Events:
             acting = pending.any(-1)
             if not acting.any():
                 return x, on, turn
-            chosen = torch.nn.functional.one_hot(pending.to(torch.int64).argmax(-1), pending.shape[-1]).bool()
-            chosen = chosen & acting.unsqueeze(-1)
+            first = self._first(span, at.detach(), x.detach(), pending)
+            chosen = torch.nn.functional.one_hot(first, pending.shape[-1]).bool() & acting.unsqueeze(-1)
             u = span.inputs(at)
             states = self.equations.happen(_torch_arithmetic(), at, x, condition, u, constants, networks)
             after = x
             for k, state in enumerate(states):
                 if chosen[..., k].any():
                     after = torch.where(chosen[..., k, None], state, after)
+                    if not torch.isfinite(after.detach()[chosen[..., k]]).all():
+                        self._tell(f"the event `{self.equations.events[k][0]}` sets what is not a finite number", at)
             with torch.no_grad():
                 pending, on, turn = self._follow(
                     span, at.detach(), x.detach(), after.detach(), (pending, on, turn), chosen
@@ -223,6 +226,19 @@ class _Events:
             x = after
         self._tell(f"more than {_CASCADE} events happen at one time", at)
         return torch.where(pending.any(-1, keepdim=True), torch.full_like(x, float("nan")), x), on, turn
+
+    def _first(self, span: Any, at: Any, x: Any, pending: Any) -> Any:
+        """The number of the pending event that comes first: timed ones, then by priority, then as in `events`."""
+        import torch
+
+        if not hasattr(self.equations, "ranks"):
+            return pending.to(torch.int64).argmax(-1)
+        condition, constants, networks = self.quiet
+        ranks = self.equations.ranks(_torch_arithmetic(), at, x, condition, span.inputs(at), constants, networks)
+        timed = torch.arange(pending.shape[-1], device=pending.device) < self.timed
+        pending = torch.where((pending & timed).any(-1, keepdim=True), pending & timed, pending)
+        lowest = torch.full_like(ranks, -torch.inf)
+        return torch.where(pending, torch.nan_to_num(ranks, nan=torch.finfo(x.dtype).min), lowest).argmax(-1)
 
     def _follow(self, span: Any, at: Any, x: Any, after: Any, flags: Any, chosen: Any) -> tuple[Any, Any, Any]:
         """What is pending, true and next after the chosen events."""
