@@ -10,7 +10,7 @@ from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import chain, fold, operands, walk
 from gbspec.semantics.table import Table
-from gbspec.semantics.unification import Solution, factor_between
+from gbspec.semantics.unification import UNKNOWN, Solution, factor_between
 from gbspec.semantics.units import ONE, Unit, read
 from gbspec.syntax import FUNCTIONS, Kind, ast, ungrouped
 
@@ -38,6 +38,8 @@ class Units:
     arguments: dict[str, list[Unit]] = field(default_factory=dict)
     reported: set[tuple[int, int]] = field(default_factory=set)
     broken: bool = False
+    _unread: bool = False
+    """Whether a declared unit does not exist: what follows from that is not reported."""
     _within: list[Span] = field(default_factory=list)
     """The calls whose function bodies are being checked, outermost first."""
     _calls: dict[tuple[str, tuple[Unit, ...]], Unit] = field(default_factory=dict)
@@ -50,7 +52,7 @@ class Units:
             found = read(unit, self.solution.namespace, self.findings)
             if found is not None:
                 return found
-            self.broken = True
+            self.broken = self._unread = True
             return self.solution.fresh()
         return self.solution.of(name)
 
@@ -256,10 +258,14 @@ class Units:
         self.reported.add(key)
         return True
 
+    def _follows(self, *shown: str) -> bool:
+        """Whether one of the units that disagree is not known because its declaration could not be read."""
+        return self._unread and UNKNOWN in shown
+
     def _disagree(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> None:
-        if not self._once(first.span, second.span):
-            return
         a, b = self.solution.shown(one), self.solution.shown(other)
+        if not self._once(first.span, second.span) or self._follows(a, b):
+            return
         self.findings.error(
             "GB502",
             f"`{_excerpt(first)}` in `{a}` and `{_excerpt(second)}` in `{b}` {how}",
@@ -271,6 +277,8 @@ class Units:
 
     def _mismatch(self, what: str, at: Span, wanted: Unit, node: ast.Expression, unit: Unit) -> None:
         a, b = self.solution.shown(wanted), self.solution.shown(unit)
+        if self._follows(a, b):
+            return
         self.findings.error(
             "GB504",
             f"{what} is in `{a}`, but this is in `{b}`",
