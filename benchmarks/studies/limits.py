@@ -270,6 +270,8 @@ or learned noises are not offered yet (GB351); nor are stiff solvers, tolerances
 model (GB778), its export and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its
 balances without the events. Second derivatives through the time of an event are not computed.
 
+[Pairs](studies/pairs.md) has each pair of statements as it was tried.
+
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 

@@ -68,7 +68,7 @@ STATEMENTS = {
     "process": Statement("state b in [0, 9]\nprocess loss: b -> rate 0.1*b\nb' = net(b)\ninitial b = 1", "0.01*b"),
     "hidden state": Statement("state z in [0, 2]\nz' = -z", "0.1*z"),
     "initial": Statement("learn start = 1 in [0.5, 2]\ninitial x = start"),
-    "time from": Statement("time t from -0.1"),
+    "time from": Statement("time t from 0"),
     "conserve": Statement(
         "state m1 = 1\nstate m2 = 0\nm1' = -m1\nm2' = m1\ninitial m1 = 1\ninitial m2 = 0\nconserve m = m1 + m2"
     ),

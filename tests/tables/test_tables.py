@@ -11,6 +11,7 @@ import sympy
 import torch
 from scipy.interpolate import CubicSpline, PchipInterpolator, RegularGridInterpolator
 
+import gbspec
 from gbspec.backends.latex.page import document
 from gbspec.backends.module import load_module
 from gbspec.ir import Curve, Interpolation, lookup
@@ -155,3 +156,13 @@ def test_arrays_look_up_all_elements_at_once() -> None:
     at = Point(0.0, np.array([0.1, 0.5, 0.9, 1.2]), np.zeros(0), np.zeros(0), np.array([1.5]))
     check_agreement(model, at, 1)
     check_derivatives(model, at, 1)
+
+
+def test_a_solution_that_leaves_a_table_is_explained_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "m.gb"
+    path.write_text(
+        "model m\nstate x in [0, 1] = 0.5\ntable f(v) = (0, 1), (1, 3) outside error\nx' = f(x)\nobserve x\n"
+    )
+    with pytest.raises(gbspec.ComputationError) as failed:
+        gbspec.load(path).simulate(trajectories=1)
+    assert "`f` has no value outside of [0, 1] (`outside error`)" in failed.value.remedy

@@ -246,15 +246,17 @@ def _equations(model: Model) -> list[tuple[str, str]]:
     """Headings and typeset blocks."""
     from markupsafe import Markup
 
-    blocks = (
+    blocks = [
         ("Balances", mathml.balances(model)),
         ("Rates and intermediates", mathml.intermediates(model)),
         ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns]),
         ("Measured", mathml.observations(model)),
         ("Starts", mathml.starts(model)),
-    )
+    ]
     # The printer has escaped all names, so that these need no further escaping.
-    return [(heading, Markup(mathml.equations(pairs))) for heading, pairs in blocks if pairs]
+    shown = [(heading, Markup(mathml.equations(pairs))) for heading, pairs in blocks if pairs]
+    events = mathml.events(model)
+    return [*shown, ("Events", Markup(mathml.equations(events, "⇒")))] if events else shown
 
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
