@@ -246,17 +246,16 @@ def _equations(model: Model) -> list[tuple[str, str]]:
     """Headings and typeset blocks."""
     from markupsafe import Markup
 
-    blocks = [
-        ("Balances", mathml.balances(model)),
-        ("Rates and intermediates", mathml.intermediates(model)),
-        ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns]),
-        ("Measured", mathml.observations(model)),
-        ("Starts", mathml.starts(model)),
-    ]
+    blocks = (
+        ("Balances", mathml.balances(model), "="),
+        ("Rates and intermediates", mathml.intermediates(model), "="),
+        ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns], "="),
+        ("Measured", mathml.observations(model), "="),
+        ("Starts", mathml.starts(model), "="),
+        ("Events", mathml.events(model), "⇒"),
+    )
     # The printer has escaped all names, so that these need no further escaping.
-    shown = [(heading, Markup(mathml.equations(pairs))) for heading, pairs in blocks if pairs]
-    events = mathml.events(model)
-    return [*shown, ("Events", Markup(mathml.equations(events, "⇒")))] if events else shown
+    return [(heading, Markup(mathml.equations(pairs, sign))) for heading, pairs, sign in blocks if pairs]
 
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
