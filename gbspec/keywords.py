@@ -6,10 +6,12 @@
 
 from __future__ import annotations
 
+import difflib
+import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
-from typing import Any, Literal, TypedDict, TypeVar
+from typing import Any, Literal, TypedDict, TypeVar, cast
 
 from gbspec.data import Box
 from gbspec.training import Effort
@@ -98,9 +100,21 @@ def options_of(options: type) -> Callable[[Function], Function]:
             )
             lines += [f"    {item.name}: {item.type} = {default!r}", f"        {item.metadata.get('help', '')}"]
         function.__signature__ = signature.replace(parameters=before)  # type: ignore[attr-defined]  # documented by inspect
+        known = [p.name for p in before if p.kind is not inspect.Parameter.POSITIONAL_ONLY and p.name != "self"]
+
+        @functools.wraps(function)
+        def checked(*given: object, **named: object) -> object:
+            for name in named:
+                if name not in known:  # else the name of an inner class would be in the message
+                    near = difflib.get_close_matches(name, known, 1)
+                    hint = f"; did you mean `{near[0]}`?" if near else ""
+                    raise TypeError(f"{function.__name__}() has no option `{name}`{hint}")
+            return function(*given, **named)
+
         text = inspect.cleandoc(function.__doc__ or "")
-        function.__doc__ = "\n".join([text, "", "Options:", *lines])
-        return function
+        checked.__doc__ = "\n".join([text, "", "Options:", *lines])
+        checked.__signature__ = function.__signature__  # type: ignore[attr-defined]
+        return cast(Function, checked)
 
     return described
 

@@ -5,10 +5,10 @@
 
 Each run is a small fit of two members in a process of its own, which is killed once, then continued by the same call
 with `--resume`. A run counts as continued if fit, history and weights equal, bit by bit, those of a run that was not
-killed (times apart). `kill -9`: at a random moment; `write`: at each step of a write (the file beside, its sync, its
-renaming), one after the other, however many --runs says; `INT`, `TERM`, `HUP`: the signal at a random moment; what it
-leaves must be usable; `workers`: kill -9 of the parent of two workers, which must end too; the others: kill -9 of the
-whole command.
+killed (times apart; the backend is fixed, since with few data `auto` takes the one that is faster at the time). `kill
+-9`: at a random moment; `write`: at each step of a write (the file beside, its sync, its renaming), one after the
+other, however many --runs says; `INT`, `TERM`, `HUP`: the signal at a random moment; what it leaves must be usable;
+`workers`: kill -9 of the parent of two workers, which must end too; the others: kill -9 of the whole command.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ members = 2
 warm_start = false
 method = "lm"
 epochs = 6
+backend = "torch"
 """
 
 
@@ -77,7 +78,7 @@ def work(kind: str, place: Path, resume: bool) -> None:
                 model,
                 data,
                 to,
-                TrainOptions(method="lm", epochs=6, warm_start=False, threads=1, workers=1),
+                TrainOptions(method="lm", epochs=6, warm_start=False, threads=1, workers=1, backend="torch"),
                 CrossOptions(),
                 lambda fold: Silent(),
             )

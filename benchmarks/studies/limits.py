@@ -289,6 +289,8 @@ identifiability is undecided.
 Splines (`by spline(12)`) have one or two arguments (GB228), each with a range (GB610), and no curvatures, symmetries,
 periods or directions in both arguments (GB607).
 
+[Pairs](studies/pairs.md) has each pair of statements as it was tried.
+
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 

@@ -1,10 +1,12 @@
 """The frame of every command: `--quiet`, `--json`, an example in the help, and exit statuses instead of tracebacks.
 
-Exit statuses: 0 done, 1 the input is wrong, 2 usage, 3 the computation failed, 70 a defect of gbspec, 130 interrupted.
+Exit statuses: 0 done, 1 the input is wrong, 2 usage, 3 the computation failed, 70 a defect of gbspec, 130 interrupted,
+141 the reader of the output has closed the pipe (what a shell says of other programs).
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import inspect
 import os
@@ -22,7 +24,7 @@ from gbspec.cli.flags import expand
 from gbspec.cli.output import Output
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError, missing_package
 
-OK, WRONG_INPUT, USAGE, FAILED, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
+OK, WRONG_INPUT, USAGE, FAILED, DEFECT, INTERRUPTED, UNREAD = 0, 1, 2, 3, 70, 130, 141
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but results and errors.", metavar="")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.", metavar="")]
@@ -93,9 +95,12 @@ def guarded(work: Callable[[], None], output: Output) -> int:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader has closed the pipe (`gbspec … | head`): no further output is possible
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
+        # The reader has closed the pipe (`gbspec … | head`): no further output is possible, and what was to be said
+        # (that a model is wrong) did not arrive, so that this is no success.
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return UNREAD
     except MemoryError:
         return _failed(
             ComputationError("there is not enough memory", remedy="try fewer trajectories or a smaller network"), output
@@ -177,5 +182,8 @@ def file_trouble(error: OSError) -> Diagnostic | None:
         case errno.ENOSPC | errno.EDQUOT | errno.ENAMETOOLONG | errno.ELOOP:
             reason = (error.strerror or "").lower()
             return Diagnostic("GB805", f"{shown} cannot be used: {reason}", None, help="choose another path")
+        case errno.EINVAL if name and Path(name).exists() and not Path(name).is_file():
+            help = "save its content to a file first"
+            return Diagnostic("GB805", f"{shown} is a pipe or a device, not a file", None, help=help)
         case _:
             return None

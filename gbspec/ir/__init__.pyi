@@ -92,4 +92,5 @@ from .tables import Interpolation as Interpolation
 from .tables import Lookup as Lookup
 from .tables import Outside as Outside
 from .tables import lookup as lookup
+from .tables import without_values as without_values
 from .verification import verify as verify

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import ClassVar, Literal
@@ -217,3 +218,13 @@ def lookup(name: str, curve: Curve, order: tuple[int, ...] | None = None) -> typ
     text = f"table_{name}_{curve.digest[:8]}_{'_'.join(map(str, order))}"
     content = {"table": name, "curve": curve, "order": order, "nargs": len(order), "_imp_": staticmethod(value)}
     return type(text, (Lookup,), content)
+
+
+def without_values(curves: Mapping[str, Curve]) -> str:
+    """Which known functions have no value beyond their points (`outside error`); empty without such."""
+    ends = [
+        f"`{name}` has no value outside of {' x '.join(f'[{k[0]:g}, {k[-1]:g}]' for k in curve.knots)}"
+        for name, curve in curves.items()
+        if curve.outside == "error"
+    ]
+    return f"{'; '.join(ends)} (`outside error`)" if ends else ""

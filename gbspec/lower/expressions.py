@@ -119,6 +119,8 @@ def build(node: ast.Expression, naming: Naming, calling: Calling, indexing: Inde
                 return naming(ast.Name(part.span, f"{array.text}_{text}"))
             case ast.Index():
                 return naming(ast.Name(part.span, part.array.text))
+            case ast.Conversion():  # command line only, where no unit is known; the same
+                return values[0]
             case ast.RateOf():  # command line only, where no name is like this
                 return naming(ast.Name(part.span, part.span.text))
             case _:

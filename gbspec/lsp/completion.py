@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,8 @@ _PARAMETERS = re.compile(r"\s*(?:function|table|truth|unknown)\s+[^(]*\(([^)]*)\
 _OUTPUTS = re.compile(r"\s*unknown\s+([^(]*)\(")
 _FORMAL = re.compile(r"(?:^|,)\s*([^\W\d]\w*)")
 _EXTENDS = re.compile(r'\bextends\s+"([^"\n]*)\Z')
+_POINTS = re.compile(r'\btable\s[^"\n]*\bfrom\s+"([^"\n]*)\Z')
+_MOST_FILES = 200
 _UNITS = ("s", "min", "h", "day", "g", "kg", "mg", "L", "mL", "m", "cm", "mol", "mmol", "K", "degC", "Pa", "bar", "J")
 """Frequent units; every unit of pint is accepted."""
 
@@ -48,7 +51,7 @@ def completions(workspace: Workspace, path: str | Path, offset: int) -> tuple[in
     found = _WORD_BEFORE.search(source.text, 0, offset)
     start = found.start() if found is not None else offset
     if inert(source, offset):
-        return _extended_files(source, offset)
+        return _files(source, offset)
     before = statement_before(source, start)
     chain = workspace.chain(path)
     if not before.strip():
@@ -176,15 +179,23 @@ def _warnings() -> Iterator[Candidate]:
     return (Candidate(entry.code, "value", entry.title) for entry in entries().values() if entry.code.startswith("GB4"))
 
 
-def _extended_files(source: Source, offset: int) -> tuple[int, list[Candidate]]:
-    """Inside the string after `extends`: the models in the same folder."""
+def _files(source: Source, offset: int) -> tuple[int, list[Candidate]]:
+    """Inside a string: after `extends` the models in the same folder, after `from` of a table the files of points."""
     line_start = source.text.rfind("\n", 0, offset) + 1
-    found = _EXTENDS.search(source.text, line_start, offset)
+    model = _EXTENDS.search(source.text, line_start, offset)
+    points = _POINTS.search(source.text, line_start, offset)
+    found = model or points
     if found is None:
         return offset, []
     own = Path(source.path)
     try:
-        names = sorted(p.name for p in own.parent.glob("*.gb") if p.name != own.name)
+        if model is not None:
+            names = sorted(p.name for p in own.parent.glob("*.gb") if p.name != own.name)
+        else:
+            below = (
+                p for end in ("csv", "tsv", "txt") for level in ("*.", "*/*.") for p in own.parent.glob(level + end)
+            )
+            names = sorted(p.relative_to(own.parent).as_posix() for p in islice(below, _MOST_FILES))
     except OSError:
         return offset, []
     return found.start(1), [Candidate(file, "file") for file in names]

@@ -74,16 +74,17 @@ def _states(model: Model) -> Iterator[tuple[str, str, State]]:
 
     families = {family.begin: family for family in model.families if family.vector == "starts"}
     arrays = {array.position: array for array in model.arrays}
+    measured = {channel.state for channel in model.channels}
     place = 0
     while place < len(model.states):
         state, array, family = model.states[place], arrays.get(place), families.get(place)
         alike = array is not None and all(s.initial == state.initial for s in model.states[place : place + array.count])
         if array is not None and (alike or family is not None):
             value = state.initial if family is None else Initial("expression", family.value)
-            yield array.range, start(value), state
+            yield array.range, start(value, place in measured), state
             place += array.count
         else:
-            yield state.name, start(state.initial), state
+            yield state.name, start(state.initial, place in measured), state
             place += 1
 
 
@@ -114,8 +115,8 @@ def _first(run: Family | int) -> int:
     return run if isinstance(run, int) else run.begin
 
 
-def start(initial: Initial) -> str:
-    """The origin of a state's initial value, in words."""
+def start(initial: Initial, measured: bool) -> str:
+    """The origin of the initial value of a state, which a channel measures as it is or not, in words."""
     import sympy
 
     match initial.kind:
@@ -126,7 +127,7 @@ def start(initial: Initial) -> str:
         case "learned":
             return "learned"
         case "measured":
-            return "measured, else learned"
+            return "measured, else learned" if measured else "learned"
 
 
 def _learnable(learnable: Learnable) -> str:

@@ -369,7 +369,7 @@ class _Expansion:
                     return self._sum(node)
                 case ast.Name() | ast.Call() | ast.Number() | ast.Unary() | ast.Binary() | ast.RateOf():
                     return node
-                case ast.Comparison() | ast.Logic() | ast.Conditional() | ast.Group():
+                case ast.Comparison() | ast.Logic() | ast.Conditional() | ast.Group() | ast.Conversion():
                     return node
                 case _:
                     assert_never(node)

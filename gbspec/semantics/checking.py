@@ -10,6 +10,7 @@ from gbspec.semantics import (
     arrays,
     balances,
     columns,
+    conversions,
     doubts,
     events,
     graph,
@@ -52,11 +53,14 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     local = Findings()
     read = merge(file, local, load)
     _limited(file, len(read.items))
+    settled = conversions.occur(read.items)
+    if settled:
+        read = _converted(read, local)
     merged, found = arrays.expand(events.expand(read, local), local)
     merged = measured_rates.expand(merged, local)
     names = table.build(merged.items, local)
     accepted = allow.allowed(merged.items, names, local, merged)
-    checked = _check(merged, names, accepted, local)
+    checked = _check(merged, names, accepted, local, settled=settled)
     if checked is not None:
         checked = dataclasses.replace(checked, source=read.items, arrays=found)
     told = dict.fromkeys(d for d in local if not allow.is_accepted(d, accepted))
@@ -71,7 +75,9 @@ def _limited(file: ast.File, count: int) -> None:
         raise UserError([refused(file.span.source.path, what)])
 
 
-def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Findings) -> Checked | None:
+def _check(
+    merged: Merged, names: Table, accepted: allow.Allowed, findings: Findings, *, settled: bool
+) -> Checked | None:
     items = merged.items
     places_of = Sites(items, names)
     resolver = Resolver(names, findings)
@@ -98,7 +104,8 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     balances.start_cycles(items, places_of, names, findings)
     columns.check(items, names, findings)
     known = _truths(items, places_of, names, values, numbers, findings, merged)
-    _units(items, places_of, names, rests, terms, numbers, findings)
+    if not settled:
+        _units(items, places_of, names, rests, terms, numbers.evaluate, findings)
     if findings.failed or merged.uncertain:
         return None
     if not usage.has_states(items, names, findings):
@@ -113,30 +120,49 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     return Checked(items, names, order, values, numbers, terms, known, accepted, tables=points)
 
 
+def _converted(read: Merged, findings: Findings) -> Merged:
+    """The statements with quantities that are given in units as plain numbers and products.
+
+    Units are checked here, on what was written; all else that is wrong is found in what is returned.
+    """
+    local = Findings()
+    merged = measured_rates.expand(arrays.expand(events.expand(read, local), local)[0], local)
+    names = table.build(merged.items, local)
+    places_of = Sites(merged.items, names)
+    resolver = Resolver(names, local)
+    for site in places_of:
+        resolver.resolve(site)
+    rests = graph.build(places_of, names, _takers(places_of, names), local)
+    evaluate = Evaluator(constants(places_of, rests, names, local), functions_of(names))
+    terms = _terms(places_of, names, local)
+    scales = _units(merged.items, places_of, names, rests, terms, evaluate, findings)
+    return conversions.applied(read, scales, findings)
+
+
 def _units(
     items: tuple[Item, ...],
     places_of: Sites,
     names: Table,
     rests: graph.Graph,
     terms: Terms,
-    numbers: Numbers,
+    evaluate: Evaluator,
     findings: Findings,
-) -> None:
+) -> conversions.Conversions:
     """Checks the units of all expressions without other errors; a model that names no unit does not import pint."""
     alone = not names_a_unit(items)
     clocks = [item.statement.unit for item in items if isinstance(item.statement, ast.TimeStatement)]
     if alone and not any(clocks):
-        return
+        return conversions.Conversions()
     from gbspec.semantics import unit_rules
 
     if alone:
         unit_rules.check_alone([unit for unit in clocks if unit is not None], findings)
-        return
+        return conversions.Conversions()
 
     def usable(expression: ast.Expression) -> bool:
         return places_of.complete(expression) and rests.broken.isdisjoint(places_of[expression].references.names)
 
-    unit_rules.check(items, names, rests.order, terms, numbers.evaluate, usable, places_of, findings)
+    return unit_rules.check(items, names, rests.order, terms, evaluate, usable, places_of, findings)
 
 
 def _takers(places_of: Sites, names: Table) -> dict[str, list[str]]:

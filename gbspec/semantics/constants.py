@@ -126,7 +126,7 @@ class Evaluator:
                 return float(bool(values[0]) or bool(values[1]))
             case ast.Call(function=function):
                 return self._call(function.text, values)
-            case ast.Index() | ast.Name() | ast.Conditional() | ast.RateOf():
+            case ast.Index() | ast.Name() | ast.Conditional() | ast.RateOf() | ast.Conversion():
                 return None
             case _:
                 assert_never(node)

@@ -8,10 +8,11 @@ from fractions import Fraction
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.conversions import Conversions, Scale, between, conversion_of, written_number
 from gbspec.semantics.delays import is_delay
 from gbspec.semantics.expressions import chain, fold, operands, walk
 from gbspec.semantics.table import Table
-from gbspec.semantics.unification import Solution, factor_between
+from gbspec.semantics.unification import UNKNOWN, Solution, factor_between
 from gbspec.semantics.units import ONE, Unit, read
 from gbspec.syntax import FUNCTIONS, Kind, ast, ungrouped
 
@@ -48,7 +49,11 @@ class Units:
     declared: dict[str, Unit] = field(default_factory=dict)
     arguments: dict[str, list[Unit]] = field(default_factory=dict)
     reported: set[tuple[int, int]] = field(default_factory=set)
+    conversions: Conversions = field(default_factory=Conversions)
+    inside_function: bool = False
     broken: bool = False
+    _unread: bool = False
+    """Whether a declared unit does not exist: what follows from that is not reported."""
     _within: list[Span] = field(default_factory=list)
     """The calls whose function bodies are being checked, outermost first."""
     _calls: dict[tuple[str, tuple[Unit, ...]], Unit] = field(default_factory=dict)
@@ -61,7 +66,7 @@ class Units:
             found = read(unit, self.solution.namespace, self.findings)
             if found is not None:
                 return found
-            self.broken = True
+            self.broken = self._unread = True
             return self.solution.fresh()
         return self.solution.of(name)
 
@@ -94,7 +99,9 @@ class Units:
             case ast.Binary(operator="^"):
                 return self._power(node, units[0], units[1])
             case ast.Binary(operator="+" | "-"):
-                return self.same([part for _, part in chain(node)], units, "are added or subtracted")
+                return self._sum(chain(node), units)
+            case ast.Conversion():
+                return self._converted(node, units[0])
             case ast.Binary():
                 return self._product(node, units)
             case ast.Call():
@@ -120,6 +127,46 @@ class Units:
                 agreed = False
                 self._disagree(nodes[0], units[0], node, unit, how)
         return units[0] if agreed else self.solution.fresh()
+
+    def _sum(self, parts: Sequence[tuple[bool, ast.Expression]], units: Sequence[Unit]) -> Unit:
+        """The unit of a sum: where as many temperatures of a scale are subtracted as added, that of a difference."""
+        namespace = self.solution.namespace
+        resolved = [self.solution.resolved(unit) for unit in units]
+        scales = [namespace.is_scale(unit.lone()) for unit in resolved]
+        net = sum(-1 if minus else 1 for (minus, _), scale in zip(parts, scales, strict=True) if scale)
+        if any(scales) and net == 0:
+            units = [namespace.difference(unit) for unit in resolved]
+        common = self.same([part for _, part in parts], units, "are added or subtracted")
+        return resolved[scales.index(True)] if any(scales) and net else common
+
+    def _converted(self, node: ast.Conversion, unit: Unit) -> Unit:
+        """The unit of a quantity that is given in one; its scale is noted, and what cannot be converted reported."""
+        wanted = read(node.unit, self.solution.namespace, self.findings)
+        if wanted is None:
+            self.broken = self._unread = True
+        elif written_number(node.value):
+            self.conversions.note(node, Scale())
+            return wanted
+        elif self.inside_function:
+            self._not_converted(node, "GB789", "the units of a function's arguments are those of each call")
+        elif (found := self.solution.known(unit)) is None:
+            self._not_converted(node, "GB789", "the unit of what is to be converted is not known here")
+        elif (scale := between(found, wanted, self.solution.namespace)) is None:
+            a, b = self.solution.shown(found), self.solution.shown(wanted)
+            self._not_converted(node, "GB788", f"a quantity in `{a}` cannot be given in `{b}`")
+        elif self.conversions.note(node, scale):
+            return wanted
+        else:
+            self._not_converted(node, "GB789", "this would be converted from different units")
+        self.conversions.note(node, None)
+        return self.solution.fresh()
+
+    def _not_converted(self, node: ast.Conversion, code: str, message: str) -> None:
+        help = {"GB788": "units of one kind can be converted, as `m` and `km`"}.get(
+            code, "declare the units of the names in it; where a function is called, convert its arguments"
+        )
+        if self._once(node.span, node.unit.span):
+            self.findings.error(code, message, node.span, help=help)
 
     def _product(self, node: ast.Binary, units: Sequence[Unit]) -> Unit:
         result = ONE
@@ -197,7 +244,9 @@ class Units:
         if key not in self._calls:
             formals = dict(zip((p.text for p in function.parameters), units, strict=True))
             self._within.append(place)
+            outside, self.inside_function = self.inside_function, True
             self._calls[key] = self.expression(function.value, formals)
+            self.inside_function = outside
             self._within.pop()
         return self._calls[key]
 
@@ -220,7 +269,8 @@ class Units:
     def rate_of(self, state: str) -> Unit:
         """The unit of a state's rate of change."""
         time = next((d.name for d in self.table.values() if d.kind is Kind.TIME), "t")
-        return self.of(state).times(self.of(time), Fraction(-1))
+        changing = self.solution.namespace.difference(self.solution.resolved(self.of(state)))
+        return changing.times(self.of(time), Fraction(-1))
 
     def agrees(self, node: ast.Expression, wanted: Unit, what: str, at: Span, formals: Formals | None = None) -> None:
         """Reports an expression whose unit is not `wanted`."""
@@ -229,9 +279,26 @@ class Units:
             self._mismatch(what, at, wanted, node, unit)
 
     def carries(self, node: ast.Expression, wanted: Unit, what: str, at: Span, formals: Formals | None = None) -> None:
-        """Like `agrees`, but a pure number is taken to be in the wanted unit."""
-        if any(isinstance(part, ast.Name) and part.text != "pi" for part in walk(node)):
+        """Like `agrees`, but a number is taken to be in the wanted unit, or converted to it from the one given."""
+        given = conversion_of(node)
+        if given is not None and written_number(given.value):
+            self._number_in(given, wanted, what, at)
+        elif any(isinstance(part, ast.Conversion) for part in walk(node)) or any(
+            isinstance(part, ast.Name) and part.text != "pi" for part in walk(node)
+        ):
             self.agrees(node, wanted, what, at, formals)
+
+    def _number_in(self, node: ast.Conversion, wanted: Unit, what: str, at: Span) -> None:
+        unit = self.expression(node)
+        known = self.solution.known(wanted)
+        if known is None:
+            self.solution.equal(wanted, unit, node.span)
+            return
+        scale = between(unit, known, self.solution.namespace)
+        if scale is not None:
+            self.conversions.put(node, scale)
+        elif self._once(node.span, at):
+            self._mismatch(what, at, known, node, unit)
 
     def term_disagrees(self, process: ast.Name, state: str, span: Span, unit: Unit) -> None:
         """Reports a term of a process whose coefficient does not fit the rate."""
@@ -245,7 +312,7 @@ class Units:
                 span,
                 label=f"in `{b}` with the rate",
                 labels=[Label(process.span, f"its rate is in `{rate}`"), *self._origins(unit, wanted)],
-                help=self._remedy(wanted, unit, " ".join(span.text.split())),
+                help=self._remedy(wanted, unit, " ".join(span.text.split()), convertible=False),
             )
 
     def channel_disagrees(self, name: ast.Name, wanted: Unit) -> None:
@@ -261,11 +328,7 @@ class Units:
                 f"the channel `{name.text}` is in `{a}`, but what it measures is in `{b}`",
                 name.span,
                 help="units are never converted implicitly"
-                + (
-                    f"; measure `{name.text}_converted = {factor:.12g}*…` with a constant in `{a}/({b})`"
-                    if factor
-                    else ""
-                ),
+                + (f"; measure `{name.text}_converted = {name.text} in {a}`" if factor else ""),
             )
 
     # ----------------------------------------------------------------------------------------------------- reporting
@@ -278,10 +341,14 @@ class Units:
         self.reported.add(key)
         return True
 
+    def _follows(self, *shown: str) -> bool:
+        """Whether one of the units that disagree is not known because its declaration could not be read."""
+        return self._unread and UNKNOWN in shown
+
     def _disagree(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> None:
-        if not self._once(first.span, second.span):
-            return
         a, b = self.solution.shown(one), self.solution.shown(other)
+        if not self._once(first.span, second.span) or self._follows(a, b):
+            return
         self.findings.error(
             "GB502",
             f"`{_excerpt(first)}` in `{a}` and `{_excerpt(second)}` in `{b}` {how}",
@@ -293,25 +360,33 @@ class Units:
 
     def _mismatch(self, what: str, at: Span, wanted: Unit, node: ast.Expression, unit: Unit) -> None:
         a, b = self.solution.shown(wanted), self.solution.shown(unit)
+        if self._follows(a, b):
+            return
+        given = conversion_of(node)  # in a third unit: the last one is what counts
         self.findings.error(
             "GB504",
             f"{what} is in `{a}`, but this is in `{b}`",
             node.span,
             label=f"in `{b}`",
             labels=[Label(at, f"in `{a}`"), *self._origins(unit, wanted)],
-            help=self._remedy(wanted, unit, _excerpt(node)),
+            help=self._remedy(wanted, unit, _excerpt(given.value if given is not None else node)),
         )
 
-    def _remedy(self, wanted: Unit, unit: Unit, text: str) -> str:
+    def _remedy(self, wanted: Unit, unit: Unit, text: str, *, convertible: bool = True) -> str:
         wanted, unit = self.solution.resolved(wanted), self.solution.resolved(unit)
         if wanted.unknowns or unit.unknowns:
             return ""
         ratio = wanted.times(unit, Fraction(-1))
         factor = factor_between(unit, wanted, self.solution.namespace)
+        moved = self.solution.namespace.moved(unit, wanted)
+        if factor is None and moved is not None:
+            return f"scales of temperature have different zeros; to convert it write `({text} in {wanted})`"
         if factor is None and any(name in _OFFSET for name, _ in ratio.names):
             return "scales of temperature with different zeros do not convert by a factor; use one of them throughout"
         if factor is None:
             return f"a factor with the unit `{ratio}` is missing, or there is a superfluous one"
+        if convertible and not self._within:
+            return f"convert it: `({text} in {wanted})`, a factor of {factor:.12g}"
         return f"multiply `{text}` by a constant that converts: `const per : {ratio} = {factor:.12g}`"
 
     def _origins(self, *units: Unit) -> list[Label]:

@@ -56,7 +56,7 @@ def written_operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
             return left, right
         case ast.Conditional(condition=condition, then=then, otherwise=otherwise):
             return condition, then, otherwise
-        case ast.Group(inner=inner):
+        case ast.Group(inner=inner) | ast.Conversion(value=inner):
             return (inner,)
         case _:
             assert_never(node)

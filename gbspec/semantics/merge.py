@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from gbspec.diagnostics import Findings, Source, Span, UserError
+from gbspec.semantics.rewriting import converts
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import MOST_SIGNS, Key, ast, children, refused, signs
 
@@ -60,6 +61,7 @@ def names_a_unit(items: Iterable[Item]) -> bool:
     return any(
         isinstance(item.statement, ast.UnitStatement)
         or any(isinstance(part, _UNITS) for part in children(item.statement))
+        or converts(item.statement)
         or (
             isinstance(item.statement, ast.UnknownStatement | ast.TableStatement)
             and any(a.unit for a in item.statement.arguments)

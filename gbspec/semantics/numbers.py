@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import assert_never
@@ -195,11 +196,13 @@ class Numbers:
                 label=f"above {low:g} and below {high:g}",
             )
         elif statement.start is None and statement.prior is None and not (math.isfinite(low) or math.isfinite(high)):
+            row = re.match(r"learn\s+(\w+\s*\[[^\]]*\])", statement.span.text)  # reported once for all elements
+            shown = row[1] if row else name.text
             self.findings.error(
                 "GB226",
-                f"`{name.text}` has neither a starting value nor a bound from which to derive one",
+                f"`{shown}` has neither a starting value nor a bound from which to derive one",
                 name.span,
-                help=f"write `learn {name.text} = 1` or `learn {name.text} in [0, 10]` with sensible numbers",
+                help=f"write `learn {shown} = 1` or `learn {shown} in [0, 10]` with sensible numbers",
             )
         else:
             self._start_in_bounds(statement, low, high)

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from typing import assert_never, cast
 
 from gbspec.semantics.expressions import written_operands
-from gbspec.syntax import Place, ast
+from gbspec.syntax import Place, ast, walk
+
+_IN_A_UNIT = re.compile(r"\bin\b(?!\s*\[)")
+
+
+def converts(statement: ast.Statement) -> bool:
+    """Whether a statement gives a quantity in a unit."""
+    # The text is looked at first, since a tree may have many thousand nodes.
+    return _IN_A_UNIT.search(statement.span.text) is not None and any(
+        isinstance(part, ast.Conversion) for part in walk(statement)
+    )
 
 
 def rebuilt(
@@ -70,5 +81,7 @@ def _with_operands(node: ast.Expression, parts: list[ast.Expression]) -> ast.Exp
             return dataclasses.replace(node, condition=parts[0], then=parts[1], otherwise=parts[2])
         case ast.Group():
             return dataclasses.replace(node, inner=parts[0])
+        case ast.Conversion():
+            return dataclasses.replace(node, value=parts[0])
         case _:
             assert_never(node)

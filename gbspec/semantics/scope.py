@@ -17,6 +17,10 @@ _WHOLE = "no function rounds, since none has a useful derivative; `if(cond, a, b
 _NOT_OFFERED = {
     "lag": "write `delay(X, tau)`: what X was a time tau ago",
     **dict.fromkeys(("floor", "ceil", "ceiling", "round", "trunc", "int", "mod", "fmod"), _WHOLE),
+    **dict.fromkeys(
+        ("random", "rand", "randn", "noise", "normal", "gauss", "uniform"),
+        "no function is random; `diffusion x = …` disturbs a state, and `noise normal(…)` of `observe` a measurement",
+    ),
     **dict.fromkeys(("integral", "integrate"), "an integral is a state: `state y`, `y' = …`, `initial y = 0`"),
 }
 """Functions that other languages have, and what takes their place here."""

@@ -13,6 +13,8 @@ from fractions import Fraction
 from gbspec.diagnostics import Span
 from gbspec.semantics.units import Namespace, Unit
 
+UNKNOWN = "an unknown unit"
+
 
 @dataclass
 class Solution:
@@ -72,7 +74,7 @@ class Solution:
             for name, exponent in unit.unknowns
             if not name.startswith("?")
         ]
-        return "*".join(parts) or "an unknown unit"
+        return "*".join(parts) or UNKNOWN
 
 
 def factor_between(first: Unit, second: Unit, namespace: Namespace) -> float | None:

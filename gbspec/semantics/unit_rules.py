@@ -8,6 +8,7 @@ from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.conversions import Conversions, conversion_of, written_number
 from gbspec.semantics.dimensions import NEEDS_UNIT, Units
 from gbspec.semantics.merge import Item
 from gbspec.semantics.processes import Term
@@ -30,8 +31,8 @@ def check(
     usable: Usable,
     sites: Iterable[Site],
     findings: Findings,
-) -> None:
-    """Checks the units of a model that names any.
+) -> Conversions:
+    """Checks the units of a model that names any; returns the scales of quantities that are given in units.
 
     Errors: a name that is not a unit (GB501), operands added or compared in different units (GB502), a unit where a
     pure number is needed (GB503), an expression in another unit than its place (GB504). Warnings: a name whose unit is
@@ -54,6 +55,7 @@ def check(
     if not units.broken:
         _undetermined(units, sites, findings)
         _mixed(units, findings)
+    return units.conversions
 
 
 def _declared_again(statement: ast.Statement, by_name: Mapping[str, ast.Statement | None]) -> bool:
@@ -123,7 +125,9 @@ class _Rules:
                     units.agrees(value, units.of(name.text), f"`{name.text}`", name.span)
             case ast.FunctionStatement(parameters=parameters, value=value):
                 if self._usable(value):
+                    units.inside_function = True
                     units.expression(value, {p.text: units.solution.fresh() for p in parameters})
+                    units.inside_function = False
             case ast.ProcessStatement(name=name, rate=rate):
                 if self._usable(rate):
                     units.agrees(rate, units.of(name.text), f"the rate of `{name.text}`", name.span)
@@ -179,10 +183,17 @@ class _Rules:
                 pass  # checked in `named`
             case ast.EffectStatement() | ast.CorrelateStatement() | ast.TableStatement() | ast.DiscreteStatement():
                 pass
+            case ast.TruthStatement(target=ast.Name() as name, parameters=None, value=value):
+                given = conversion_of(value)  # else a truth is in the declared units
+                if name.text in units.declared and given is not None and written_number(given.value):
+                    units.carries(value, units.of(name.text), f"`{name.text}`", name.span)
             case ast.TruthStatement() | ast.ClosureStatement() | ast.Remark():
                 pass
             case _:
                 assert_never(statement)
+
+    def _difference(self, unit: Unit) -> Unit:
+        return self._units.solution.namespace.difference(self._units.solution.resolved(unit))
 
     def _time(self) -> Unit:
         return self._units.of(next(d.name for d in self._units.table.values() if d.kind is Kind.TIME))
@@ -259,7 +270,7 @@ class _Rules:
             return
         name = target_name(statement.target)
         formals = {PREDICTION: unit, name.text: unit}
-        first = ONE if noise.kind.text == "lognormal" else unit
+        first = ONE if noise.kind.text == "lognormal" else self._difference(unit)
         for argument, wanted in zip(noise.arguments, (first, ONE), strict=False):
             self._units.carries(argument, wanted, f"the noise of `{name.text}`", name.span, formals)
 
@@ -286,7 +297,7 @@ class _Rules:
         """Checks that a disturbance is in units of its state per square root of time."""
         units = self._units
         if self._usable(value):
-            wanted = units.of(name.text).times(self._time(), Fraction(-1, 2))
+            wanted = self._difference(units.of(name.text)).times(self._time(), Fraction(-1, 2))
             units.carries(value, wanted, f"the diffusion of `{name.text}`", name.span)
 
     def _equation(self, name: ast.Name, left: ast.Expression, right: ast.Expression) -> None:

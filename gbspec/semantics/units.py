@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 Powers = tuple[tuple[str, Fraction], ...]
 """Names with their exponents, sorted, none of them 0."""
 
+DELTA = "delta_"
+"""What pint writes before a unit of a scale with a zero of its own (`degC`) for differences, which are in kelvins."""
+
 EQUAL = 1e-9
 """Relative difference up to which two factors are the same."""
 
@@ -47,6 +50,10 @@ class Unit:
         """`self^exponent`."""
         return ONE.times(self, exponent)
 
+    def lone(self) -> str | None:
+        """The name of a unit that is one name to the power 1."""
+        return self.names[0][0] if len(self.names) == 1 and self.names[0][1] == 1 and not self.unknowns else None
+
     def __str__(self) -> str:
         return _text(self.names) or "1"
 
@@ -64,6 +71,8 @@ ONE = Unit()
 
 
 def _text(names: Powers) -> str:
+    if len(names) > 1 or any(exponent != 1 for _, exponent in names):
+        names = tuple((name.removeprefix(DELTA), exponent) for name, exponent in names)
     above = [_power(name, exponent) for name, exponent in names if exponent > 0]
     below = [_power(name, -exponent) for name, exponent in names if exponent < 0]
     text = "*".join(above) or ("1" if below else "")
@@ -126,11 +135,47 @@ class Namespace:
         dimensions = {name: Fraction(value).limit_denominator(1000) for name, value in exponents.items()}
         return Measure(float(base.magnitude), powers(dimensions))
 
+    def is_scale(self, name: str | None) -> bool:
+        """Whether a unit has a zero of its own, as `degC` has."""
+        atom = self.atom(name) if name is not None and name not in self.own else None
+        return atom is not None and any(dimension.startswith("unit ") for dimension, _ in atom.dimensions)
+
+    def difference(self, unit: Unit) -> Unit:
+        """The unit of a difference of two values in this unit: another one for scales with a zero of their own."""
+        name = unit.lone()
+        return Unit(((f"{DELTA}{name}", Fraction(1)),)) if name is not None and self.is_scale(name) else unit
+
+    def in_products(self, unit: Unit) -> Unit:
+        """The unit with differences in place of scales with a zero of their own: `W/degC` is `W/K`."""
+        if unit.lone() is not None:
+            return unit
+        names = tuple((DELTA + name if self.is_scale(name) else name, exponent) for name, exponent in unit.names)
+        return Unit(powers(dict(names)), unit.unknowns)
+
+    def moved(self, found: Unit, wanted: Unit) -> tuple[float, float] | None:
+        """Factor and summand between two scales of temperature; None if these are no such units."""
+        first, second = found.lone(), wanted.lone()
+        if first is None or second is None or not {first, second}.isdisjoint(self.own):
+            return None
+        if not (self.is_scale(first) or self.is_scale(second)):
+            return None
+        registry = _registry()
+        try:
+            zero, one = (float(registry.Quantity(x, registry.Unit(first)).to(second).magnitude) for x in (0.0, 1.0))
+        except Exception:  # units of different kinds; pint's errors have no common class that it exports
+            return None
+        return one - zero, zero
+
     def measure(self, unit: Unit) -> Measure:
-        """The measure of a unit whose parts are all known."""
+        """The measure of a unit whose parts are all known.
+
+        Where differences occur in it, a scale with a zero of its own counts as one too: they agree with both.
+        """
         factor = 1.0
         dimensions: dict[str, Fraction] = {}
-        for name, exponent in unit.names:
+        differs = any(name.startswith(DELTA) for name, _ in unit.names)
+        for given, exponent in unit.names:
+            name = f"{DELTA}{given}" if differs and self.is_scale(given) else given
             atom = self.atom(name)
             if atom is not None:
                 factor *= atom.factor ** float(exponent)
@@ -185,7 +230,7 @@ def read(unit: ast.UnitExpression, namespace: Namespace, findings: Findings) -> 
                         _unknown(node, namespace, findings)
                 else:
                     result = result.times(Unit(((text, Fraction(1)),)), exponent)
-    return result if sound else None
+    return namespace.in_products(result) if sound else None
 
 
 def _exponent(node: ast.UnitExpression) -> Fraction:

@@ -72,6 +72,8 @@ def _prefix(node: ast.Node, parts: tuple[_Prefix, ...]) -> _Prefix:
             return "", [f"{_written(parts[0])}[{_written(parts[1])}]"]
         case ast.RateOf():
             return "", [f"{_written(parts[0])}'"]
+        case ast.Conversion():
+            return "in", list(map(_written, parts))
         case ast.Conditional():
             return "if", list(map(_written, parts))
         case _:

@@ -10,7 +10,7 @@ from lark.exceptions import UnexpectedInput
 from gbspec.diagnostics import Source
 from gbspec.syntax.grammar import engine
 
-_LOOK_AHEAD = re.compile(r"\(\?=.*\)", re.DOTALL)
+_LOOK_AHEAD = re.compile(r"\(\?[=!].*\)", re.DOTALL)
 """What has to follow a keyword for it to count as one."""
 
 

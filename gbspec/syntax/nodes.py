@@ -121,7 +121,17 @@ class Group(Node):
     inner: Expression
 
 
-Expression = Number | Name | Call | Index | RateOf | Unary | Binary | Comparison | Logic | Conditional | Group
+@dataclass(frozen=True)
+class Conversion(Node):
+    """`3.2 in mH`: a number in a unit, or the value of an expression in another unit of its kind."""
+
+    value: Expression
+    unit: UnitExpression
+
+
+Expression = (
+    Number | Name | Call | Index | RateOf | Unary | Binary | Comparison | Logic | Conditional | Group | Conversion
+)
 
 
 # ---------------------------------------------------------------------------------------------------------- units

@@ -101,6 +101,8 @@ def _space(found: list[Piece], clauses: Sequence[Clause]) -> None:
             piece.space = piece.space or _would_merge(previous, piece)
         if piece.text in ("(", "["):
             brackets.append(_bracket(previous, piece, kind))
+        if piece.text == "in" and operand:
+            piece.kind = "word"  # what follows is a range or a unit; else it is a name
         operand = (piece.kind in ("number", "name", "string") and not _is_word(piece, kind)) or piece.text in ")]'"
         if unary:
             piece.kind = "unary"

@@ -7,7 +7,7 @@ import types
 import typing
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import polars as pl
@@ -257,6 +257,11 @@ def test_keyword_arguments_are_the_options(keywords: Any, options: Any, function
         assert not any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
         for name, field in options.__dataclass_fields__.items():
             assert str(field.metadata.get("help", "")) in (function.__doc__ or ""), name
+
+
+def test_a_misspelt_option_is_told_by_the_name_that_was_called(model: gbspec.Specification, tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"train\(\) has no option `efort`; did you mean `effort`\?"):
+        cast(Any, model.train)({"t": [0.0]}, tmp_path / "run", efort="low")
 
 
 def test_errors_are_public() -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import errno
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
@@ -37,6 +41,7 @@ def raising(error: BaseException) -> Callable[[], None]:
         (PermissionError(errno.EACCES, "denied", "x.csv"), 1, "GB805"),
         (OSError(errno.ENOSPC, "No space left on device", "x.csv"), 1, "no space left"),
         (MemoryError(), 3, "memory"),
+        (OSError(errno.EINVAL, "it is a pipe", os.devnull), 1, "not a file"),
     ],
 )
 def test_every_outcome_has_its_exit_status(
@@ -175,3 +180,14 @@ def test_numbers_and_tables_are_aligned() -> None:
     ]
     shown = table(("name", "value"), [("a", "1"), ("long name", "12.5")])
     assert shown.splitlines() == ["name       value", "---------  -----", "a              1", "long name   12.5"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes that a reader closes like this")
+def test_what_could_not_be_told_is_no_success(tmp_path: Path) -> None:
+    code = "import sys; from gbspec.cli.frame import guarded; from gbspec.cli.output import Output\n"
+    code += "sys.exit(guarded(lambda: [print('x' * 70000, flush=True) for _ in range(9)], Output()))"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None and process.stdout.read(1) == b"x"
+    process.stdout.close()
+    assert process.stderr is not None and process.stderr.read() == b""
+    assert process.wait() == 141

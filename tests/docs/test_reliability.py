@@ -36,6 +36,8 @@ def test_its_figures_are_those_of_the_tables() -> None:
     assert int(killed) + int(alike) + int(survived) + int(idle) == int(mutants) and int(share) >= 90
     assert f"{killed} of {mutants} killed, {alike} equivalent" in TEXT
     commands = sum(int(count) for count in re.findall(r"^\| (?:0|1|70), .* \| (\d+) \|$", table("tampered"), re.M))
+    offered, pairs = re.findall(r"^## .*: (\d+) of (\d+) pairs are offered$", table("pairs"), re.M)[0]
+    assert f"{offered} of {pairs} pairs are offered" in TEXT
     assert f"{commands} commands: none ended as a defect" in TEXT
 
 

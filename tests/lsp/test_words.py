@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
 from gbspec.diagnostics.catalogue import explain
 from gbspec.lsp import words
+from gbspec.lsp.completion import completions
 from gbspec.lsp.messages import UNUSED
+from gbspec.lsp.workspace import Workspace
 from gbspec.syntax import names
 from gbspec.syntax.expectations import Expected, expected
 from gbspec.syntax.grammar import engine
@@ -60,3 +63,24 @@ def test_the_grammar_says_which_word_may_follow(begun: str, keyword: str, not_ke
 @pytest.mark.parametrize("begun", ["state state state", "let = ", "const a = 1 1", "$ = 1"])
 def test_after_what_is_wrong_nothing_is_expected(begun: str) -> None:
     assert expected(begun) is None
+
+
+@pytest.mark.parametrize(
+    ("begun", "files"),
+    [
+        ('model m extends "', ["base.gb"]),
+        ('table ocv(soc) : V from "', ["ocv.csv", "points/rates.tsv"]),
+        ('table ocv(soc) : V from "oc', ["ocv.csv", "points/rates.tsv"]),
+        ('state x "from "', []),
+    ],
+)
+def test_names_of_files_are_completed_where_a_file_is_named(begun: str, files: list[str], tmp_path: Path) -> None:
+    (tmp_path / "points").mkdir()
+    for name in ("base.gb", "ocv.csv", "points/rates.tsv", "notes.md"):
+        (tmp_path / name).write_text("")
+    workspace, path = Workspace(), tmp_path / "m.gb"
+    text = begun if begun.startswith("model") else f"model m\n{begun}"
+    workspace.put(path, text)
+    start, found = completions(workspace, path, len(text))
+    assert [one.text for one in found if one.kind == "file"] == files
+    assert not files or text[start - 1] == '"'

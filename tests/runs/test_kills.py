@@ -150,14 +150,20 @@ def test_without_a_record_a_run_begins_again_with_and_without_resume(tmp_path: P
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_every_request_to_end_leaves_a_run_that_can_be_used(name: str, tmp_path: Path, whole: Path) -> None:
+    # The parent may have left it ignored, as nohup does with SIGHUP, which training respects.
+    kept = signal.signal(getattr(signal, name), signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+
     class Asked(Recorder):
         def update(self, update: Any) -> None:
             super().update(update)
             if len(self.updates) == 2:
                 os.kill(os.getpid(), getattr(signal, name))
 
-    with pytest.raises(KeyboardInterrupt):
-        train(model_of(MODEL), data(), TrainOptions(**OPTIONS, members=2), tmp_path / "run", Asked())
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            train(model_of(MODEL), data(), TrainOptions(**OPTIONS, members=2), tmp_path / "run", Asked())
+    finally:
+        signal.signal(getattr(signal, name), kept)
     run = open_run(tmp_path / "run")
     assert run.numbers == (0,) and run.fit.constants["k"].value > 1
     fitted(tmp_path / "run", members=2, resume=True)

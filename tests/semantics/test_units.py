@@ -174,7 +174,7 @@ def test_factor_in_the_help() -> None:
         "model m\ntime t : h\nstate m : g\nconst q : mg/h = 1\nlearn k : 1/h = 1\nm' = q - k*m\nobserve m\n"
     )
     (finding,) = findings
-    assert "`const per : mg/g = 1000`" in finding.help
+    assert finding.help == "convert it: `(k*m in mg/h)`, a factor of 1000"
 
 
 def test_numbers_in_units() -> None:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 
 from gbspec.diagnostics import Findings, Source, UserError
 from gbspec.syntax.formatter import WIDTH, format_text
@@ -27,6 +27,7 @@ def comments(text: str) -> list[str]:
 
 @settings(max_examples=150, deadline=None)
 @given(files())
+@example("process x : -> rate [ x ] rate x\n")
 def test_meaning_and_comments_stay_and_a_second_time_changes_nothing(text: str) -> None:
     findings = Findings()
     before = parse(Source("test.gb", text), findings)
@@ -71,6 +72,12 @@ def test_meaning_and_comments_stay_and_a_second_time_changes_nothing(text: str) 
         ("const µ = 1", "const μ = 1"),
         ("let a = b#why", "let a = b  #why"),
         ("truth phi ( x ) = x", "truth phi(x) = x"),
+        ("const L:H=3.2 in  mH", "const L : H = 3.2 in mH"),
+        ("const L = 3.2 in(J /K) : H", "const L : H = 3.2 in (J/K)"),
+        ("let P : W = (u*i in 1 / h)*in", "let P : W = (u*i in 1/h)*in"),
+        ("learn k = 2 in 1/d in[0,1] : 1/h", "learn k : 1/h = 2 in 1/d in [0, 1]"),
+        ("process p: -> rate[ 2 ] rate x", "process p: -> rate[2] rate x"),
+        ("event e at 9 in h every 1 in day : x=3 in mm", "event e at 9 in h every 1 in day: x = 3 in mm"),
     ],
 )
 def test_one_statement(written: str, canonical: str) -> None:

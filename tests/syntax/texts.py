@@ -44,6 +44,10 @@ def conditions(draw: st.DrawFn, inner: st.SearchStrategy[Tokens]) -> Tokens:
     return tokens
 
 
+units = st.sampled_from(["gX/L", "1/h", "kg*m/s^2", "m**-2", "(g/L)^0.5", "10^3", "J/(mol*K)"]).map(lambda t: [t])
+in_units = units.filter(lambda t: t != ["10^3"])  # a conversion is to a named unit, or to the pure number 1
+
+
 def deeper(inner: st.SearchStrategy[Tokens]) -> st.SearchStrategy[Tokens]:
     return st.one_of(
         binary(inner),
@@ -53,11 +57,11 @@ def deeper(inner: st.SearchStrategy[Tokens]) -> st.SearchStrategy[Tokens]:
         st.tuples(names, st.lists(inner, max_size=3)).map(lambda t: [t[0], *bracketed(separated(t[1]))]),
         st.tuples(names, inner).map(lambda t: [t[0], *bracketed(t[1], "[]")]),
         st.tuples(conditions(inner), inner, inner).map(lambda t: ["if", *bracketed(separated(t))]),
+        st.tuples(inner, in_units).map(lambda t: bracketed([*t[0], "in", *t[1]])),
     )
 
 
 expressions = st.recursive(st.one_of(names, numbers).map(lambda token: [token]), deeper, max_leaves=8)
-units = st.sampled_from(["gX/L", "1/h", "kg*m/s^2", "m**-2", "(g/L)^0.5", "10^3", "J/(mol*K)"]).map(lambda t: [t])
 intervals = st.tuples(expressions, expressions).map(lambda t: bracketed(separated(t), "[]"))
 distributions = st.tuples(st.sampled_from(["normal", "lognormal"]), st.lists(expressions, min_size=1, max_size=2)).map(
     lambda t: [t[0], *bracketed(separated(t[1]))]
@@ -65,7 +69,9 @@ distributions = st.tuples(st.sampled_from(["normal", "lognormal"]), st.lists(exp
 
 unit = units.map(lambda t: [":", *t])
 interval = intervals.map(lambda t: ["in", *t])
-value = expressions.map(lambda t: ["=", *t])
+quantities = st.one_of(expressions, st.tuples(expressions, in_units).map(lambda t: [*t[0], "in", *t[1]]))
+value = quantities.map(lambda t: ["=", *t])
+postulate = expressions.map(lambda t: ["=", *t])
 text = strings.map(lambda t: [t])
 column = strings.map(lambda t: ["as", t])
 bound = st.tuples(st.sampled_from([">", ">=", "<", "<="]), expressions).map(lambda t: [t[0], *t[1]])
@@ -108,8 +114,53 @@ state_names = st.sampled_from(["x", "y", "S", "μ", "rate", "größe"])
 sides = st.one_of(st.just([]), expressions.filter(lambda t: t[:2] != ["rate", "("]))
 
 
+def after(word: str) -> st.SearchStrategy[Tokens]:
+    """A clause of a quantity behind a keyword."""
+    return quantities.map(lambda t: [word, *t])
+
+
 def targeted(word: str) -> st.SearchStrategy[Tokens]:
     return targets.map(lambda target: [word, *target])
+
+
+table_arguments = st.lists(
+    st.tuples(names, st.one_of(st.just([]), unit)).map(lambda t: [t[0], *t[1]]), min_size=1, max_size=2
+).map(separated)
+per = st.sampled_from(["trajectory", "subject", "occasion"])
+spreads = st.one_of(
+    st.just([]),
+    st.sampled_from(["lognormal", "normal", "logitnormal"]).map(lambda t: ["~", t]),
+    distributions.map(lambda t: ["~", *t]),
+)
+populations = st.tuples(per, spreads).map(lambda t: ["per", t[0], *t[1]])
+signed = st.tuples(st.sampled_from(["", "-", "+"]), numbers).map(lambda t: [*filter(None, t)])
+points = st.lists(
+    st.lists(signed, min_size=2, max_size=3).map(lambda t: bracketed(separated(t))), min_size=1, max_size=3
+)
+from_points = st.one_of(strings.map(lambda t: ["from", t]), points.map(lambda t: ["=", *separated(t)]))
+table_clauses = clauses(
+    [
+        unit,
+        st.sampled_from([["linear"], ["pchip"], ["cubic"]]),
+        st.sampled_from([["outside", "hold"], ["outside", "error"]]),
+        text,
+    ],
+    [from_points],
+)
+
+
+@st.composite
+def events(draw: st.DrawFn) -> Tokens:
+    """An event with any of its clauses; they end where what it sets begins."""
+    assigned = separated([[*draw(targets), "=", *draw(quantities)] for _ in range(draw(st.integers(1, 3)))])
+    priority = expressions.map(lambda t: ["priority", *t])
+    if draw(st.booleans()):
+        when = ["when", *draw(conditions(expressions))]
+        rest = draw(clauses([priority, st.just(["armed"])]))
+    else:
+        when = draw(clauses([after("every")], [after("at")]) | clauses([after("until"), after("at")], [after("every")]))
+        rest = draw(clauses([priority]))
+    return ["event", draw(names), *when, *rest, ":", *assigned]
 
 
 statements = st.one_of(
@@ -143,7 +194,7 @@ statements = st.one_of(
             min_size=1,
             max_size=3,
         ).map(lambda arguments: ["unknown", "a", ",", "b", *bracketed(separated(arguments))]),
-        clauses([unit, contracts, st.lists(value, min_size=1, max_size=1).map(lambda t: t[0]), network, text]),
+        clauses([unit, contracts, st.lists(postulate, min_size=1, max_size=1).map(lambda t: t[0]), network, text]),
     ),
     statement(
         st.tuples(names, sides, sides).map(lambda t: ["process", t[0], ":", *t[1], "->", *t[2]]),
@@ -156,8 +207,17 @@ statements = st.one_of(
     statement(targeted("observe"), clauses([unit, value, distributions.map(lambda t: ["noise", *t]), column, text])),
     statement(
         targeted("dose"),
-        clauses([expressions.map(lambda t: ["times", *t]), expressions.map(lambda t: ["lag", *t]), text]),
+        clauses([expressions.map(lambda t: ["times", *t]), after("lag"), after("over"), text]),
     ),
+    statement(
+        named("learn"),
+        clauses([unit, value, text], [populations]),
+    ),
+    statement(named("effect"), clauses([text], [st.just(["per", "trajectory"])])),
+    st.lists(names, min_size=2, max_size=4).map(lambda t: ["correlate", *separated([[n] for n in t])]),
+    statement(st.tuples(names, table_arguments).map(lambda t: ["table", t[0], *bracketed(t[1])]), table_clauses),
+    statement(named("discrete"), clauses([unit, interval, text], [value])),
+    events(),
     statement(targeted("diffusion"), clauses([text], [value])),
     statement(named("conserve"), clauses([expressions.map(lambda t: ["rate", *t]), text], [value])),
     statement(named("truth"), value),

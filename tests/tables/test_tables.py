@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, RegularGridInterpo
 
 from gbspec.backends.latex.page import document
 from gbspec.backends.module import load_module
-from gbspec.ir import Curve, Interpolation, lookup
+from gbspec.ir import Curve, Interpolation, lookup, without_values
 from gbspec.ir.derivatives import derivative
 from gbspec.report.html.mathml import expression
 from tests import quick as quickly
@@ -155,3 +155,11 @@ def test_arrays_look_up_all_elements_at_once() -> None:
     at = Point(0.0, np.array([0.1, 0.5, 0.9, 1.2]), np.zeros(0), np.zeros(0), np.array([1.5]))
     check_agreement(model, at, 1)
     check_derivatives(model, at, 1)
+
+
+def test_tables_without_values_beyond_their_points_are_named_where_a_solution_ends() -> None:
+    held = "model m\nstate x in [0, 1] = 0.5\ntable f(v) = (0, 1), (1, 3)\nx' = f(x)\nobserve x\n"
+    strict = model_of(held.replace("(1, 3)", "(1, 3) outside error"))
+    assert without_values({t.name: t.curve for t in model_of(held).tables}) == ""
+    said = without_values({t.name: t.curve for t in strict.tables})
+    assert said == "`f` has no value outside of [0, 1] (`outside error`)"

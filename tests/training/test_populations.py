@@ -17,7 +17,7 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Model
 from gbspec.operations import comparing, models, tables
-from gbspec.training import TrainOptions, train
+from gbspec.training import TrainOptions, train, unbegun
 from gbspec.training.population import Layout, Marginal, Predictions, marginal
 from gbspec.training.population.predictions import _Graph
 from gbspec.training.recipe import build_context
@@ -304,6 +304,7 @@ def test_an_unknown_start_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
     assert [found.code for found in caught.value.diagnostics] == ["GB776"]
+    assert unbegun(tmp_path / "run")  # so that the corrected call is not refused
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ class Region:
 def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Region, ...]:
     """Parses conditions on the model's time, states, conditions, inputs and constants; errors go to `findings`."""
     from gbspec.lower import lower_expression
-    from gbspec.syntax import parse_expression
+    from gbspec.syntax import ast, parse_expression, walk
 
     names = (
         model.time,
@@ -48,6 +48,10 @@ def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Reg
     for text in texts:
         own = Findings()
         parsed = parse_expression(Source("--reject", text), own)
+        for part in () if parsed is None else walk(parsed):
+            if isinstance(part, ast.Conversion):
+                help = "write the number in the declared unit"
+                own.error("GB789", "a quantity cannot be given in a unit on the command line", part.span, help=help)
         lowered = None if parsed is None or own.failed else lower_expression(parsed, model, own)
         findings.extend(own)
         if lowered is None or own.failed:

@@ -20,7 +20,7 @@ from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate, form_of
 from gbspec.diagnostics import ComputationError, Findings
-from gbspec.ir import Model
+from gbspec.ir import Model, without_values
 
 __all__ = ["SimulateOptions", "Solver", "simulate", "solve"]
 
@@ -191,7 +191,8 @@ class _Draws:
             f"trajectory {index + 1} was drawn {ATTEMPTS} times without success: "
             f"{own.failed} could not be solved, {own.rejected} were rejected; the last: {own.reason}",
             where=f"trajectory {index + 1}",
-            remedy="narrow the box of initial states with `--initial`, change `--span` or `--dt`, or reject less",
+            remedy="narrow the box of initial states with `--initial`, change `--span` or `--dt`, or reject less"
+            + (f"; {ends}" if (ends := without_values({t.name: t.curve for t in self.model.tables})) else ""),
         )
 
 

@@ -64,6 +64,7 @@ def describe(
     from gbspec.report import start
 
     parts = model or Model("")
+    measured = {channel.state for channel in parts.channels}
     return {
         "path": path,
         "model": model.name if model else None,
@@ -85,7 +86,7 @@ def describe(
         "identifiability": identifiability(examination) if examination else None,
         "diagnostics": [to_json(d) for d in findings],
         "channels": [channel.name for channel in parts.channels],
-        "starts": {state.name: start(state.initial) for state in parts.states},
+        "starts": {s.name: start(s.initial, i in measured) for i, s in enumerate(parts.states)},
     }
 
 

@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from gbspec.ir import NN, Expr, Lookup, Model, Unknown, named
+from gbspec.ir import NN, Expr, Lookup, Model, Timing, Unknown, named
 
 _ENTITIES = {"&InvisibleTimes;": "&#x22C5;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
 """The printer's named entities as numbers, so that the page is well formed as XML too."""
@@ -95,10 +95,10 @@ def inline(text: str) -> str:
     return f"<math>{name(text)}</math>"
 
 
-def equations(pairs: list[tuple[str, str]]) -> str:
+def equations(pairs: list[tuple[str, str]], sign: str = "=") -> str:
     """Equations below each other, aligned at their signs."""
     rows = "".join(
-        f'<mtr><mtd style="text-align:right">{left}</mtd><mtd><mo>=</mo></mtd>'
+        f'<mtr><mtd style="text-align:right">{left}</mtd><mtd><mo>{sign}</mo></mtd>'
         f'<mtd style="text-align:left">{right}</mtd></mtr>'
         for left, right in pairs
     )
@@ -131,6 +131,28 @@ def intermediates(model: Model) -> list[tuple[str, str]]:
 def observations(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each channel that is not simply a state."""
     return [(expression(left), expression(model.timed(right))) for left, right in model.equations("channels")]
+
+
+def events(model: Model) -> list[tuple[str, str]]:
+    """When each event happens, and what it sets."""
+    found = []
+    for event in model.events:
+        when = expression(event.condition) if event.timing is None else _times(model, event.timing)
+        values = (f"{name(state)}<mo>≔</mo>{expression(value)}" for state, value in event.values)
+        label = f"<mtext>{escape(event.name)}:&#160;</mtext>"
+        found.append((f"<mrow>{label}{when}</mrow>", f"<mrow>{'<mo>,</mo>'.join(values)}</mrow>"))
+    return found
+
+
+def _times(model: Model, timing: Timing) -> str:
+    """The times of an event: its first one, then every so often, up to the last."""
+    parts = [name(model.time.name), "<mo>=</mo>"]
+    parts.append("<mtext>start</mtext>" if timing.at is None else expression(timing.at))
+    if timing.every is not None:
+        parts += ["<mo>+</mo><mi>n</mi><mo>⋅</mo><mo>(</mo>", expression(timing.every), "<mo>)</mo>"]
+    if timing.until is not None:
+        parts += ["<mo>≤</mo>", expression(timing.until)]
+    return "".join(parts)
 
 
 def starts(model: Model) -> list[tuple[str, str]]:

@@ -247,16 +247,17 @@ def _equations(model: Model) -> list[tuple[str, str]]:
     from markupsafe import Markup
 
     blocks = (
-        ("Balances", mathml.balances(model)),
-        ("Algebraic equations", mathml.algebraic(model)),
-        ("Rates and intermediates", mathml.intermediates(model)),
-        ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns]),
-        ("Measured", mathml.observations(model)),
-        ("Starts", mathml.starts(model)),
-        ("Before the start", mathml.histories(model)),
+        ("Balances", mathml.balances(model), "="),
+        ("Algebraic equations", mathml.algebraic(model), "="),
+        ("Rates and intermediates", mathml.intermediates(model), "="),
+        ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns], "="),
+        ("Measured", mathml.observations(model), "="),
+        ("Starts", mathml.starts(model), "="),
+        ("Before the start", mathml.histories(model), "="),
+        ("Events", mathml.events(model), "⇒"),
     )
     # The printer has escaped all names, so that these need no further escaping.
-    return [(heading, Markup(mathml.equations(pairs))) for heading, pairs in blocks if pairs]
+    return [(heading, Markup(mathml.equations(pairs, sign))) for heading, pairs, sign in blocks if pairs]
 
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:

@@ -95,6 +95,11 @@ class ExpressionRules(Parts):
         node = ast.Group(self.over(children), children[1])
         return cast(ast.Group, self.nested(node, (children[1],)))
 
+    def conversion(self, children: Children) -> ast.Conversion:
+        value, _, unit = children
+        node = ast.Conversion(self.over(children), self.number_value(value), unit)
+        return cast(ast.Conversion, self.nested(node, (value,)))
+
     def unit_name(self, children: Children) -> ast.UnitName:
         name = self.name_at(children[0])
         return ast.UnitName(name.span, name.text)

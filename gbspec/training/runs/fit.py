@@ -77,6 +77,9 @@ def train(
         fitting.begin()
         try:
             fit_jobs(fitting.jobs(), options, shown, fitting.take)
+        except UserError:
+            fitting.withdraw()
+            raise
         finally:
             fitting.write()
     return fitting.run()
@@ -128,10 +131,12 @@ class Fitting:
         self.record = _record(model, trajectories, options, path)
         self.results: dict[int, MemberResult] = {}
         self.failures: dict[int, ComputationError] = {}
+        self._begun = True  # until `begin` has looked
 
     def begin(self) -> None:
         """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
-        if (self.path / files.FIT).is_file():
+        self._begun = (self.path / files.FIT).is_file()
+        if self._begun:
             before = _prepare(self.path, self.model, self.record, self.options)
             taken = replace(self.record, backend=before.backend, solver=before.solver)
             self.record = replace(taken, solver_reason=before.solver_reason)
@@ -143,6 +148,13 @@ class Fitting:
             self.record = _prepare(self.path, self.model, replace(self.record, backend=found), self.options)
         if not _in_table(self.trajectories):
             files.write_tensors(self.path / files.DATA, *to_arrays(self.trajectories))
+
+    def withdraw(self) -> None:
+        """Leaves no run where training was refused before anything was learned: the corrected call begins it."""
+        if self._begun or self.results or self.failures:
+            return
+        for name in (files.FIT, files.MODEL, files.MODULE, files.DATA):
+            (self.path / name).unlink(missing_ok=True)
 
     def _choose_solver(self) -> None:
         """Chooses the solver where that is left to the training."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbspec.data import Trajectories
-from gbspec.diagnostics import ComputationError
+from gbspec.diagnostics import ComputationError, UserError
 from gbspec.ir import Model
 from gbspec.runs import Option, files, locked
 from gbspec.training.options import TrainOptions
@@ -85,6 +85,10 @@ def _fitted(
 
     try:
         fit_jobs(jobs, options, shown, take)
+    except UserError:
+        for run in runs:
+            run.withdraw()
+        raise
     finally:
         for run in runs:
             run.write()

@@ -9,6 +9,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.backends import Value
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import without_values
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.starting import initial_or_failure
@@ -35,14 +36,16 @@ def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stag
     with torch.no_grad():
         search = _first_row if problem.model.delays else _first_failure
         found = search(problem, parameters, theta)
+    ends = without_values({table.name: table.curve for table in problem.model.tables})
+    remedy = f"{_REMEDY}; {ends}" if ends else _REMEDY
     if found is None:
-        return ComputationError(f"a residual is not a finite number in stage `{stage}`", remedy=_REMEDY)
+        return ComputationError(f"a residual is not a finite number in stage `{stage}`", remedy=remedy)
     trajectory, time, term, state = found
     values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(problem.model.states, state, strict=True))
     return ComputationError(
         f"the solution blew up in stage `{stage}`: {term}",
         where=f"trajectory `{packed.labels[trajectory]}` at {problem.model.time.name} = {time:.6g}, where {values}",
-        remedy=_REMEDY,
+        remedy=remedy,
     )
 
 
