@@ -20,6 +20,7 @@ from gbspec.operations import comparing, models, tables
 from gbspec.training import TrainOptions, train, unbegun
 from gbspec.training.population import Layout, Marginal, Predictions, marginal
 from gbspec.training.population.predictions import _Graph
+from gbspec.training.population.results import effective_weights
 from gbspec.training.recipe import build_context
 
 LEVEL = """model level
@@ -358,3 +359,18 @@ def test_a_fit_by_quadrature_ends_at_its_maximum(tmp_path: Path) -> None:
     value = made.value(at, weights, np.zeros((12, 2)))
     assert value.total == pytest.approx(found.minus2ll, abs=1e-6)
     assert np.abs(made.slopes(at, weights, value.z).parameters.sum(axis=0)).max() < 0.05
+
+
+@pytest.mark.parametrize("ridge", [1e-6, 0.3, 1e4])
+def test_the_effective_number_of_weights_is_at_most_their_number(ridge: float) -> None:
+    """Weights and parameters that stand for one another must not count twice."""
+    random = np.random.default_rng(1)
+    rows = random.standard_normal((6, 5))
+    rows[:, 4] = rows[:, :3].sum(axis=1) + 1e-3 * rows[:, 4]
+    information = rows.T @ rows
+    prior = np.diag([ridge] * 3 + [0.0] * 2)
+    inverse = np.linalg.inv(information + prior)
+    found = effective_weights(inverse[:3, :3], ridge)
+    assert found == pytest.approx(np.trace(inverse @ information) - 2, abs=1e-6)
+    assert 0 <= found <= 3
+    assert effective_weights(np.full((3, 3), np.nan), ridge) == 3

@@ -90,8 +90,7 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
     posterior = likelihood.groups.of_trajectories(np.linalg.inv(likelihood.expected_hessian(of).numpy()))
     spread = np.sqrt(np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy()))
     count = len(weights)
-    information = objective.curvature(point, 0.0) / 2
-    used = float(np.trace(covariance[:count, :count] @ information[:count, :count])) if count else 0.0
+    used = effective_weights(covariance[:count, :count], ridge)
     return PopulationResult(
         point,
         ridge,
@@ -105,6 +104,16 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         _table(objective, point, of),
         used + len(point.u),
     )
+
+
+def effective_weights(covariance: Array, ridge: float) -> float:
+    """The effective number of weights, whose block of the inverse curvature is `covariance` [w, w], at a ridge.
+
+    The trace of (H + R)^-1 H over the weights, where only R = ridge I belongs to the prior: w - ridge trace(covariance)
+    (MacKay 1992), from 0 to w.
+    """
+    count = len(covariance)
+    return float(np.clip(count - ridge * np.nan_to_num(np.trace(covariance), nan=0.0), 0.0, count))
 
 
 def _shrinkage(groups: Groups, deviations: Array) -> Array:
