@@ -10,6 +10,7 @@ import pytest
 
 from gbspec.backends.module import load_module
 from gbspec.data import Trajectories, Trajectory
+from gbspec.diagnostics import ComputationError
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.recipe import finer, step_fraction
@@ -126,13 +127,21 @@ def test_solutions_that_blow_up_at_half_the_step_show(end: float, monkeypatch: p
     assert not step_shows(now, half, theta, constants=False)
 
 
-@pytest.mark.parametrize("solved", [True, False])
-def test_a_finer_step_that_cannot_be_solved_begins_elsewhere(solved: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(finer, "residual_vector", lambda engine, theta: np.array([0.0 if solved else np.inf]))
+@pytest.mark.parametrize(("limit", "begun"), [(0.0, 0.0), (1.0, 1.0), (2.0, None)])
+def test_a_finer_step_that_cannot_be_solved_begins_elsewhere(
+    limit: float, begun: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What cannot be solved there either is no beginning: the fit keeps its step, and its warning."""
+    blown = lambda engine, theta: np.array([np.inf if theta[0] < limit else 0.0])  # noqa: E731
+    monkeypatch.setattr(finer, "residual_vector", blown)
     monkeypatch.setattr(LevenbergMarquardt, "begin", lambda self, theta: {"theta": theta})
     of = LevenbergMarquardt("any", 1, lambda iteration: None, LevenbergOptions())  # type: ignore[arg-type, return-value]
-    begun = FinerStep(of, "largest step 1", lambda theta: theta + 1).begin(np.zeros(2))
-    assert np.array_equal(begun["theta"], np.zeros(2) if solved else np.ones(2))
+    stage = FinerStep(of, "largest step 1", lambda theta: theta + 1)
+    if begun is None:
+        with pytest.raises(ComputationError, match="half the solver's step"):
+            stage.begin(np.zeros(2))
+    else:
+        assert np.array_equal(stage.begin(np.zeros(2))["theta"], np.full(2, begun))
 
 
 BLOWS_UP = """

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, moved
 from gbspec.training.problem import Parameters, mean_loss, measured_only
@@ -15,6 +16,7 @@ from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.growing import GrowingHorizons
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
 from gbspec.training.stages import Effort, StageName, most_iterations
+from gbspec.training.starts import refit_starts
 
 HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
 """How often the step may be halved where all forms are known."""
@@ -81,6 +83,11 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
     return moved(now, theta, measured_only(now.problem, change)) > SHOWS
 
 
+def follows(engine: Engine, theta: Array) -> bool:
+    """Whether all solutions have something to do with the data."""
+    return bool((np.abs(residual_vector(engine, theta)) < APART).all())
+
+
 class FinerStep(LevenbergMarquardt):
     """Levenberg-Marquardt with a finer step, which it shows.
 
@@ -94,9 +101,14 @@ class FinerStep(LevenbergMarquardt):
         self.remark, self.elsewhere = remark, elsewhere
 
     def begin(self, theta: Array) -> State:
-        """The state of the optimiser."""
-        solved = (np.abs(residual_vector(self.engine_at(0), theta)) < APART).all()
-        return super().begin(theta if solved else self.elsewhere(theta))
+        """The state of the optimiser. Raises ComputationError if solutions blow up at this step wherever it begins."""
+        engine = self.engine_at(0)
+        if not follows(engine, theta):
+            theta = self.elsewhere(theta)
+            if not follows(engine, theta):
+                what = "solutions blow up, or are far from the data, at half the solver's step"
+                raise ComputationError(what, remedy="fit again with a smaller `--max-step`")
+        return super().begin(theta)
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration, with the step in its remark."""
@@ -117,8 +129,14 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
         newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
         rtol = context.tolerance(fraction)
         said = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
-        again = GrowingHorizons(context.finer(fraction), layout, [reached.theta], effort)
-        return FinerStep(newton, said, again.run) if layout.n_weights and again.horizons else FinerStep(newton, said)
+
+        def elsewhere(theta: Array) -> Array:
+            """Other initial states, or else what segments lead to."""
+            found = refit_starts(newton.engine_at(0), theta, context.seed)
+            again = GrowingHorizons(context.finer(fraction), layout, [found], effort)
+            return found if follows(newton.engine_at(0), found) or not again.horizons else again.run(found)
+
+        return FinerStep(newton, said, elsewhere)
 
     def shows(reached: Reached) -> bool:
         found = last(reached)
