@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gbspec.ir import EquationBlock, Family, Initial, Learnable, Model, Range, State
+    from gbspec.ir import EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
     from gbspec.runs import MemberRecord, ProfileRecord, Run
 
 
@@ -50,10 +50,7 @@ def model_summary(model: Model) -> str:
     lines += [_block(model, block) for block in model.blocks]
     for network in model.networks:
         arguments = ", ".join(argument.name for argument in network.arguments)
-        layers = "-".join(str(n) for n in network.sizes)
-        outputs = ", ".join(network.outputs)
-        size = f"network {layers} {network.activation}, {network.parameters} parameters"
-        lines.append(f"unknown {outputs}({arguments}): {size}")
+        lines.append(f"unknown {', '.join(network.outputs)}({arguments}): {_size(network)}")
         kept = ((unknown.name, guarantee(unknown)) for unknown in model.unknowns if unknown.name in network.outputs)
         lines += [f"  {name} {text}" for name, text in kept if text]
     lines += [f"learned {_learnable(learnable)}" for learnable in model.learnables]
@@ -65,6 +62,14 @@ def model_summary(model: Model) -> str:
         if names:
             lines.append(f"{word} {', '.join(names)}")
     return "\n".join(lines) + "\n"
+
+
+def _size(network: Network) -> str:
+    """What stands for unknown functions, and the number of its parameters."""
+    if network.spline:
+        return f"cubic spline, {' x '.join(map(str, network.spline))} coefficients"
+    layers = "-".join(str(n) for n in network.sizes)
+    return f"network {layers} {network.activation}, {network.parameters} parameters"
 
 
 def _states(model: Model) -> Iterator[tuple[str, str, State]]:

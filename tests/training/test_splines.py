@@ -9,6 +9,7 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, Source
 from gbspec.frontend import load_model
 from gbspec.ir.model import Model
+from gbspec.report.text import model_summary
 from gbspec.training.engines import objective
 from gbspec.training.engines.native.engine import NativeEngine
 from gbspec.training.engines.native.kernel import Kernel
@@ -75,3 +76,8 @@ def test_without_second_differences_it_is_a_straight_line_held_beyond_the_range(
     assert np.diff(values).min() > 0
     assert float(function(-50.0)) == values[0]
     assert float(function(50.0)) == values[-1]
+
+
+def test_the_summary_names_a_spline() -> None:
+    text = "model m\ntime t\nstate x in [0, 1]\nunknown f(x) by spline(6)\nx' = -f(x)\nobserve x\n"
+    assert "unknown f(x): cubic spline, 6 coefficients\n" in model_summary(model_of(text))
