@@ -275,7 +275,7 @@ class GeneratedModule(Protocol):
     ) -> Value:
         """The channels [..., n_channels], torch."""
 
-    def initial(self, x0: Value, condition: Value = None, constants: Value = None) -> Value:
+    def initial(self, x0: Value, condition: Value = None, constants: Value = None, inputs: Value = None) -> Value:
         """The initial state: x0, with the initial values that the model gives inserted; torch."""
 
     def step(

@@ -78,12 +78,7 @@ def _expressions(model: Model) -> None:
         _require(looked_up <= tables.items(), f"{what} uses tables that the model does not have")
         _require(not expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I), f"{what} is not finite")
 
-    for item in model.intermediates:
-        check(f"`{item.name}`", item.value, known)
-        known.add(item.symbol)
-    for equation in model.constraints:
-        check(f"the equation `{equation.name}`", equation.left, known)
-        check(f"the equation `{equation.name}`", equation.right, known)
+    _intermediates(model, check, known)
     for state, balance in zip(model.states, model.balances, strict=True):
         check(f"the balance of `{state.name}`", balance, known)
         if state.initial.value is not None:
@@ -121,6 +116,16 @@ def _expressions(model: Model) -> None:
     _events(model, check, known, constants | conditions)
     disturbed = [diffusion.state for diffusion in model.diffusions]
     _require(len(set(disturbed)) == len(disturbed), "two diffusions of a state")
+
+
+def _intermediates(model: Model, check: Callable[..., None], known: set[sympy.Symbol]) -> None:
+    """Checks intermediates, each of which may hold earlier ones and is `known` from then on, and equations."""
+    for item in model.intermediates:
+        check(f"`{item.name}`", item.value, known)
+        known.add(item.symbol)
+    for equation in model.constraints:
+        check(f"the equation `{equation.name}`", equation.left, known)
+        check(f"the equation `{equation.name}`", equation.right, known)
 
 
 def _delays(model: Model, check: Callable[..., None], known: set[sympy.Symbol], fixed: set[sympy.Symbol]) -> None:

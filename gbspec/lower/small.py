@@ -1,10 +1,11 @@
-"""Small parts of declarations: the neutral value of `nn`, the text of units and descriptions."""
+"""Small parts of declarations: the time, the neutral value of `nn`, the text of units and descriptions."""
 
 from __future__ import annotations
 
+from gbspec.ir import model as ir
 from gbspec.lower.expressions import parts_of
-from gbspec.semantics import chain
-from gbspec.syntax import ast
+from gbspec.semantics import Checked, chain
+from gbspec.syntax import Kind, ast
 
 
 def neutral(postulate: ast.Expression) -> float:
@@ -47,3 +48,17 @@ def unit_text(unit: ast.UnitExpression | None) -> str | None:
 def string(text: ast.Text | None) -> str:
     """The value of an optional string."""
     return text.value if text is not None else ""
+
+
+def time_of(checked: Checked) -> ir.Time:
+    """The time, by its statement or by the name that it has without one."""
+    statement = next(checked.all(ast.TimeStatement), None)
+    if statement is None:
+        return ir.Time(next(name for name, one in checked.table.items() if one.kind is Kind.TIME))
+    return ir.Time(
+        statement.name.text,
+        checked.numbers.value(statement.start),
+        unit=unit_text(statement.unit),
+        description=string(statement.description),
+        span=statement.name.span,
+    )

@@ -23,7 +23,7 @@ from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.infusions import infused, refuse_elements
 from gbspec.lower.short import ShortForms, places_of
-from gbspec.lower.small import neutral, string, unit_text
+from gbspec.lower.small import neutral, string, time_of, unit_text
 from gbspec.semantics import (
     Checked,
     Term,
@@ -164,7 +164,7 @@ class _Lowering:
         model = ir.Model(
             name=head.name.text if head is not None else "model",
             title=string(head.title) if head is not None else "",
-            time=self._time(),
+            time=time_of(self._checked),
             states=self._states(),
             conditions=tuple(self._condition(s) for s in self._checked.all(ast.ConditionStatement)),
             inputs=tuple(self._input(s) for s in self._checked.all(ast.InputStatement)),
@@ -219,18 +219,6 @@ class _Lowering:
     def _range(self, interval: ast.Interval | None) -> ir.Range | None:
         ends = self._checked.numbers.interval(interval)
         return None if ends is None else ir.Range(*ends)
-
-    def _time(self) -> ir.Time:
-        statement = next(self._checked.all(ast.TimeStatement), None)
-        if statement is None:
-            return ir.Time(next(n for n, d in self._table.items() if d.kind is Kind.TIME))
-        return ir.Time(
-            statement.name.text,
-            self._number(statement.start),
-            unit=unit_text(statement.unit),
-            description=string(statement.description),
-            span=statement.name.span,
-        )
 
     def _states(self) -> tuple[ir.State, ...]:
         starts = {target_name(s.target).text: s for s in self._checked.all(ast.InitialStatement)}

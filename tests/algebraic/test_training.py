@@ -38,7 +38,7 @@ def test_constants_are_found_without_noise(text: str) -> None:
         return np.asarray(whole_jacobian(linearise(problem, parameters, at), parameters).numpy())
 
     found = least_squares(
-        lambda at: solve(problem, parameters, at), theta, jacobian, xtol=1e-15, ftol=1e-15, max_nfev=60
+        lambda at: solve(problem, parameters, at), theta, jacobian, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=60
     )
     assert np.abs(found.fun).max() < (1e-9 if model.complete else 0.02)  # in standard deviations of the channels
 

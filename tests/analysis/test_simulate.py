@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ class Exact:
     def __init__(self, limit: float = np.inf, model: Model | None = None) -> None:
         self.limit, self.model, self.calls = limit, model or decay(), 0
 
-    def initial(self, x0: Array, condition: Array) -> Array:
+    def initial(self, x0: Array, condition: Array, constants: None, inputs: tuple[Signal, ...], start: float) -> Array:
         expressed = [s.initial.kind == "expression" for s in self.model.states]
         return np.where(expressed, condition[0], x0)
 
@@ -84,6 +85,9 @@ class Exact:
         return np.stack(
             [x0[0] * np.exp(-condition[0] * (times - start)), x0[1] + np.interp(times, fine, volume)], axis=1
         )
+
+    def followed(self, x0: Array, times: Array, *rest: Any, **options: Any) -> tuple[Array, Array]:
+        return self.integrate(x0, times, *rest, **options), np.zeros((len(times), 0))
 
     def observe_many(self, t: Array, x: Array, condition: Array, inputs: Array) -> Array:
         return np.stack([x[:, 0], x[:, 1], 2 * x[:, 0]], axis=1)[:, : len(self.model.channels)]

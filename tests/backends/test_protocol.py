@@ -47,6 +47,8 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
     optional = {"events"} if model.diffusions else {"events", "diffusions"}
     optional |= {"delays"} if model.delays else {"delays", "lags", "delayed", "history", "past"}
     optional |= set() if model.events else {"guards", "happen", "cutting"}
+    optional |= set() if any(event.rank is not None for event in model.events) else {"ranks"}
+    optional |= {"steady_states"} if model.steady is not None else {"steady_states", "steady", "settled"}
     optional |= {"blocks"} if model.algebraics else {"blocks", "algebraic", "unsolved"}
     optional |= set() if any(event.timing is not None for event in model.events) else {"timing"}
     for method in set(offered(Equations)) - optional:

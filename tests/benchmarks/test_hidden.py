@@ -19,7 +19,8 @@ def test_one_state_is_never_measured(name: str) -> None:
 def test_the_table_has_the_worst_of_the_fits() -> None:
     rows: list[Row] = [
         {"model": "a", "noise": 0.02, "seed": i, "r2": 0.9 + 0.05 * i, "naive": 0.1 * i, "loss_noise": 1.0 + i,
-         "fresh": 0.84, "reference": 0.96, "seconds": 10 * i}
+         "rhs": 0.1 * (i + 1), "rhs_reference": 0.05, "fresh": 0.84, "reference": 0.96, "seconds": 10 * i}
         for i in range(2)
     ]  # fmt: skip
-    assert table(rows).splitlines()[-1] == "| a | 2 % | 2 | 0.900000 | 0.100 | 2 | 0.840000 | 2.00, 2.00 | 5 |"
+    last = table(rows).splitlines()[-1]
+    assert last == "| a | 2 % | 2 | 0.900000 | 0.100 | 2 | 0.2 | 3.00, 4.00 | 0.840000 | 2.00, 2.00 | 5 |"

@@ -185,6 +185,9 @@ def test_the_paper_s_systems(name: str, unseen: list[str], count: int, constants
 def test_bundled_models_are_answered_in_time(path: Path) -> None:
     model = model_at(path)
     begin = time.process_time()
+    if model.algebraics or model.delays:  # not examined
+        assert not identifiability(model, Findings()).decided
+        return
     for all_states in (True, False):
         find(pose(model, all_states=all_states), time.process_time() + 3)
     assert time.process_time() - begin < 10  # two questions of 3 seconds at most, and what it takes to pose them

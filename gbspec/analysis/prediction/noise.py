@@ -9,13 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import sympy
-from scipy.special import stdtrit
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import Channel, logarithmic, symbol
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
+    from gbspec.ir import Channel
     from gbspec.runs import Run
 
 
@@ -36,6 +35,11 @@ def _wider(run: Run, channel: Channel) -> float:
     """The 90 % interval of Student's noise, in units of that of a normal one whose standard deviation is the scale."""
     if channel.noise is None or channel.noise.freedom is None:
         return 1.0
+    import sympy  # only here: `--version` and the like need neither
+    from scipy.special import stdtrit
+
+    from gbspec.ir import symbol
+
     known = {c.symbol: c.value for c in run.model.constants}
     known |= {symbol(name): one.value for name, one in run.fit.constants.items() if one.value is not None}
     freedom = float(channel.noise.freedom.xreplace({s: sympy.Float(v) for s, v in known.items()}))

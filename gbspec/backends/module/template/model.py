@@ -354,14 +354,15 @@ class Template:  # {{class}}
     def _arguments(self, x: Any, condition: Any, inputs: Any, need_inputs: bool = True) -> tuple[Any, Any, Any]:
         """State, condition and inputs as tensors of the right length and of the state's type."""
         x = _vector(self.state(x) if isinstance(x, Mapping) else x, len(self.states), "the state")
-        condition = self._defaulted(condition, "conditions", x)
+        condition = self.defaulted(condition, "conditions", x)
         # [delays
         if need_inputs and "delays" in vars(self.equations):
             return x, condition, _vector(inputs, _width(self), "inputs and delayed values", x)
         # delays]
-        return x, condition, self._defaulted(inputs, "inputs", x) if need_inputs else None
+        return x, condition, self.defaulted(inputs, "inputs", x) if need_inputs else None
 
-    def _defaulted(self, value: Any, kind: str, x: Any) -> Any:
+    def defaulted(self, value: Any, kind: str, x: Any) -> Any:
+        """Conditions or inputs (the `kind`) as a tensor like `x`, with their defaults where `value` is None."""
         names, defaults = getattr(self, kind), self.defaults[kind]
         if isinstance(value, Mapping):
             value = _by_name(self, kind, value)

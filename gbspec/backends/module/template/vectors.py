@@ -51,7 +51,7 @@ def _signal(module: Any, inputs: Any, grid: list[float], x: Any) -> Callable[[in
     """Inputs as a function of the index of an interval and a time in it."""
     if callable(inputs):
         return lambda i, t: _vector(inputs(t), len(module.inputs), "inputs", x)
-    table = module._defaulted(inputs, "inputs", x)
+    table = module.defaulted(inputs, "inputs", x)
     if inputs is None or not module.inputs:
         return lambda i, t: table
     if table.ndim < 2 or table.shape[-2] != len(grid):
