@@ -5,7 +5,7 @@ from .disturbed import check_limits as check_limits
 from .disturbed import filter_of as filter_of
 from .disturbed import held_out_filter as held_out_filter
 from .disturbed import whole_vector as whole_vector
-from .finer import APART as APART
+from .finer import astray as astray
 from .holdout import held_out_score as held_out_score
 from .holdout import held_out_solutions as held_out_solutions
 from .planned import Planned as Planned

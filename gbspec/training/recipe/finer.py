@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Engine, residual_table, residual_vector
+from gbspec.training.engines import Engine, predicted, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, moved
 from gbspec.training.problem import Parameters, mean_loss, measured_only
 from gbspec.training.recipe.context import Context
@@ -25,7 +25,7 @@ NETWORK_HALVINGS: Mapping[Effort, int] = {"low": 2, "normal": 4, "high": 6}
 STEADY = 1e-2
 """Initial damping if an earlier stage has already come close to the minimum."""
 APART = 10.0
-"""Solutions at half the step that are this many scales of a channel apart have nothing to do with each other."""
+"""Solutions that are this many standard deviations of a channel's data outside of their range are astray."""
 SHOWS, LEAST_ERROR = 0.1, 1e-5
 """A step's error shows where it moves a solution by more than this share of the noise, or a constant by more than this
 many of its standard deviations, and where it is larger than this fraction of a channel's scale."""
@@ -83,9 +83,19 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
     return moved(now, theta, measured_only(now.problem, change)) > SHOWS
 
 
-def follows(engine: Engine, theta: Array) -> bool:
-    """Whether all solutions have something to do with the data."""
-    return bool((np.abs(residual_vector(engine, theta)) < APART).all())
+def astray(engine: Engine, theta: Array) -> Mask:
+    """The measured rows [R, C] at which solutions blow up, or are far outside of the range of a channel's data.
+
+    Neither the noise nor the distance from a single measurement counts: both say something of the fit, not of its step.
+    """
+    problem, mean = engine.problem, predicted(engine, theta).mean
+    out = np.zeros(mean.shape, dtype=np.bool_)
+    for i in range(mean.shape[1]):
+        seen, data = problem.seen[:, i], problem.packed.values[problem.valued[:, i], i]
+        wide = APART * float(data.std()) if len(data) and data.std() > 0 else np.inf
+        low, high = (data.min() - wide, data.max() + wide) if len(data) else (-np.inf, np.inf)
+        out[seen, i] = ~(np.isfinite(mean[seen, i]) & (mean[seen, i] >= low) & (mean[seen, i] <= high))
+    return out
 
 
 class FinerStep(LevenbergMarquardt):
@@ -103,9 +113,9 @@ class FinerStep(LevenbergMarquardt):
     def begin(self, theta: Array) -> State:
         """The state of the optimiser. Raises ComputationError if solutions blow up at this step wherever it begins."""
         engine = self.engine_at(0)
-        if not follows(engine, theta):
+        if astray(engine, theta).any():
             theta = self.elsewhere(theta)
-            if not follows(engine, theta):
+            if astray(engine, theta).any():
                 what = "solutions blow up, or are far from the data, at half the solver's step"
                 raise ComputationError(what, remedy="fit again with a smaller `--max-step`")
         return super().begin(theta)
@@ -134,7 +144,7 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
             """Other initial states, or else what segments lead to."""
             found = refit_starts(newton.engine_at(0), theta, context.seed)
             again = GrowingHorizons(context.finer(fraction), layout, [found], effort)
-            return found if follows(newton.engine_at(0), found) or not again.horizons else again.run(found)
+            return again.run(found) if astray(newton.engine_at(0), found).any() and again.horizons else found
 
         return FinerStep(newton, said, elsewhere)
 

@@ -24,7 +24,7 @@ from gbspec.training.problem import (
     measured_only,
     residuals_of,
 )
-from gbspec.training.recipe import APART, Context, held_out_solutions, step_fraction
+from gbspec.training.recipe import Context, astray, held_out_solutions, step_fraction
 from gbspec.training.stages import StageName
 
 
@@ -137,11 +137,8 @@ def only_at_its_step(
     if context.adaptive or context.model.marginal or context.model.diffusions:
         return []
     now, half = (context.engine(parameters, 0.0, part) for part in (fraction, fraction / 2))
-    problem = half.problem
-    with np.errstate(over="ignore", invalid="ignore"):
-        apart = np.abs(residual_table(half, theta) - residual_table(now, theta))
-    blown = problem.seen & ~(apart < APART)
-    labels = {problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]} - set(failed)
+    blown, packed = astray(half, theta) & ~astray(now, theta), half.problem.packed
+    labels = {packed.labels[i] for i in packed.row_trajectory[blown.any(axis=1)]} - set(failed)
     if not labels:
         return []
     listed = ", ".join(f"`{label}`" for label in sorted(labels)[:5]) + (", ..." if len(labels) > 5 else "")
