@@ -47,6 +47,7 @@ PARTS = {
     "flexhouse_heater": Part("flexhouse"),
     "tclab": Part("tclab", ("sine_5_1", "step_1"), linear=True),
     "emps": Part("emps", ("estimation",)),
+    "emps_known": Part("emps", ("estimation",)),
 }
 
 

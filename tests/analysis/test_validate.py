@@ -233,6 +233,12 @@ def test_json_has_the_keys_of_the_contract(
     assert document["member"] == "mean"
     for name in ("x1", "half step", "right-hand side", "function phi"):
         assert name in str(found)
+    assert found.truth is not None
+    long = "concentration_of_the_product"
+    truth = replace(found.truth, functions={long: found.truth.rhs})
+    text = str(replace(found, channels={long: found.channels["x1"]}, truth=truth))
+    assert f"function {long}  L1" in text
+    assert f"\n{long}  " in text
 
 
 def test_learned_initial_states_are_found_by_content(

@@ -53,12 +53,13 @@ class TruthErrors:
         }
 
     def __str__(self) -> str:
-        lines = [f"solution         {self.solution}", f"right-hand side  {self.rhs}"]
-        lines += [f"function {name:<8}{value}" for name, value in self.functions.items()]
+        lines = {"solution": str(self.solution), "right-hand side": str(self.rhs)}
+        lines |= {f"function {name}": str(value) for name, value in self.functions.items()}
         if self.constants:
             each = ", ".join(f"{name} {value:.3g}" for name, value in self.constants.items() if name != "all")
-            lines.append(f"constants        {self.constants['all']:.3g} ({each})")
-        return "\n".join(lines)
+            lines["constants"] = f"{self.constants['all']:.3g} ({each})"
+        width = max(map(len, lines)) + 2
+        return "\n".join(f"{name:<{width}}{value}" for name, value in lines.items())
 
 
 def truth_errors(

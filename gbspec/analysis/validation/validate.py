@@ -148,15 +148,16 @@ class Validation(Tabled):
 
     def __str__(self) -> str:
         lines: list[str] = []
+        wide = max([16, *(len(name) + 2 for name in self.channels)])
         if self.channels:
-            lines.append(f"{'channel':<16}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
-            for name, one in self.channels.items():
-                lines.append(f"{name:<16}{one.n:>7}{one.rmse:>12.4g}{one.nrmse:>12.4g}{one.mae:>12.4g}{one.r2:>10.5g}")
+            lines.append(f"{'channel':<{wide}}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
+            for name, e in self.channels.items():
+                lines.append(f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{e.r2:>10.5g}")
         lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.ahead:
-            lines.append(f"{'rows ahead':<12}{'channel':<16}{'n':>7}{'rmse':>12}{'r2':>10}")
+            lines.append(f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>10}")
         for steps, found in self.ahead.items():
-            lines += [f"{steps:<12}{name:<16}{e.n:>7}{e.rmse:>12.4g}{e.r2:>10.5g}" for name, e in found.items()]
+            lines += [f"{steps:<12}{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.r2:>10.5g}" for name, e in found.items()]
         if self.worst is not None:
             lines.append(str(self.worst))
         check = self.step_check
