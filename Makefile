@@ -14,11 +14,11 @@ export OMP_NUM_THREADS ?= 1
 demo: $(STAMP)
 	$(BIN)/gbspec demo
 
-# A file of tests stays in one process, which makes its fixtures once. Bytecode is kept even where the environment says
-# otherwise: each of the processes that the tests start would compile the package again.
+# A file of tests stays in one process, which makes its fixtures once; tests/conftest.py orders the files. Bytecode is kept
+# even where the environment says otherwise: each of the processes that the tests start would compile the package again.
 test: export PYTHONDONTWRITEBYTECODE =
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

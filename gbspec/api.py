@@ -163,11 +163,15 @@ class Specification(Tabled):
         verify: bool = True,
         precision: Precision = "float64",
         part: str | None = None,
+        data: Data | None = None,
         values: Mapping[str, float] | None = None,
     ) -> Export:
         """Writes the model at its truth for other programs; see `FittedRun.export`."""
         subject = models.reference(self.model, values)
-        return exporting.exported(subject, path, as_, self.path, verify=verify, precision=precision, part=part)
+        table = None if data is None else table_of(data, self.model)
+        return exporting.exported(
+            subject, path, as_, self.path, verify=verify, precision=precision, part=part, data=table
+        )
 
     def evaluate(self, data: Data, *, values: Mapping[str, float] | None = None) -> Evaluation:
         """Negative log likelihood, chi-squared, residuals and gradient on data at a point.

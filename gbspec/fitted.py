@@ -102,16 +102,21 @@ class FittedRun(Tabled):
         verify: bool = True,
         precision: Precision = "float64",
         part: str | None = None,
+        data: Data | None = None,
         values: Mapping[str, float] | None = None,
         member: int | None = None,
     ) -> Export:
         """Writes the learned model for other programs; see `gbspec export`. Compared with the generated module first.
 
-        `precision` and `part` are those of ONNX graphs. Raises `UserError` for what the form cannot express (GB808),
+        `precision` and `part` are those of ONNX graphs, `data` is the table of a PEtab problem.
+        Raises `UserError` for what the form cannot express (GB808),
         `ComputationError` if the export differs from the generated module.
         """
         subject = models.learned(self.run, values, member)
-        return exporting.exported(subject, path, as_, str(self.run.path), verify=verify, precision=precision, part=part)
+        table = None if data is None else table_of(data, self.run.model)
+        return exporting.exported(
+            subject, path, as_, str(self.run.path), verify=verify, precision=precision, part=part, data=table
+        )
 
     def evaluate(
         self, data: Data | None = None, *, values: Mapping[str, float] | None = None, member: int | None = None

@@ -32,7 +32,7 @@ class TrainKeywords(TypedDict, total=False):
     effort: Effort
     start: str | None
     epochs: int | None
-    quadrature: int
+    quadrature: int | None
     holdout: float
     workers: int | None
     device: Literal["cpu", "cuda", "auto"]

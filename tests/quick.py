@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-FLAGS = ["-std=gnu11", "-O0", "-Dalways_inline=unused", "-shared", "-fPIC"]
-"""Compilation takes a tenth of the time without optimisation, and half of that with functions that are not inlined."""
+FLAGS = ["-std=gnu11", "-Og", "-Dalways_inline=unused", "-shared", "-fPIC"]
+"""Compilation takes a fifth of the time with few optimisations and functions that are not inlined (0.35 s instead of
+1.8 s). Without any it takes 0.1 s less, but networks are then evaluated at half the speed."""
 
 
 @contextmanager

@@ -251,10 +251,13 @@ TEXT = f"""# Limits: what is read, and what oversized inputs cost
 |---|---:|
 @LIMITS@
 
-Not offered yet, and said so: groups of a column without a distribution (GB421), in `correlate` (GB434), in
-simulations (GB786), and columns that change within a trajectory (GB719); noises with constants of single trajectories
-(GB425), values of single trajectories without a distribution beside others with one (GB426), profiles of models with
-populations (GB777), censored values under `noise student` (GB785).
+Not offered yet, and said so: groups of a column without a distribution and categories (GB421), in `correlate` (GB434),
+and columns that change within a trajectory (GB719); noises with constants of single trajectories (GB425), values of
+single trajectories without a distribution beside others with one (GB426), profiles of models with populations (GB777),
+censored values under `noise student` (GB785).
+
+A network with an effect among its arguments follows single trajectories where there are few of them: its -2 log
+likelihood and AIC say little of new trajectories (docs/studies/populations.md). Nothing warns of that.
 
 Not offered for infusions (`dose … over`): durations and lags that are learned (GB427, GB428), elements of arrays
 (GB429), measured rates of the infused state (GB430). A dose in a steady state is preceded by a number of doses, not
@@ -268,11 +271,13 @@ population its medians.
 
 Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not
 offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export
-and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its balances without the events.
-Second derivatives through the time of an event are not computed.
+to C and ONNX (GB808). Its identifiability is undecided. Second derivatives through the time of an event are not
+computed. Unknown functions in conditions, resets and times of events are fitted by the torch graph, much more slowly
+than by the kernel.
 
 Algebraic variables that need a search (`equation` without a formula for them): events, disturbances, populations and
-learned noises are not offered together with them yet (GB361), nor `export` and C code (GB808); fits use torch.
+learned noises are not offered together with them yet (GB361), nor `export` and C code (GB808); with
+unknown functions in the equations fits use torch.
 Identifiability is undecided. An index above 1 is refused with the derivative that helps (GB360), not reduced.
 
 Delays of elements of arrays, and delays together with `diffusion`, events, populations and learned noises are not
@@ -283,8 +288,8 @@ covariance of their Hopf points is computed. A learned delay whose lower bound i
 measurements makes fits slow, since no step is longer than it.
 
 Steady starts (`initial steady`) are not offered with `diffusion`, populations, learned noises and events with a
-condition (GB375), nor where the time itself occurs in a balance (GB376); such a model is not exported (GB808). Its
-identifiability is undecided.
+condition (GB375), nor where the time itself occurs in a balance (GB376); such a model is exported to PEtab alone
+(GB808). Its identifiability is undecided.
 
 Splines (`by spline(12)`) have one or two arguments (GB228), each with a range (GB610), and no curvatures, symmetries,
 periods or directions in both arguments (GB607).

@@ -8,7 +8,6 @@ the suite's own.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import tempfile
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 import yaml
 
 import gbspec
+from benchmarks.studies.suites import main, table
 from gbspec.diagnostics import ComputationError, UserError
 
 
@@ -26,6 +26,10 @@ class Outcome:
     end: str
     said: tuple[str, ...] = ()
     error: float = 0.0
+
+    def cells(self) -> tuple[str, ...]:
+        """The error."""
+        return (f"{self.error:.2g}",)
 
 
 def judged(folder: Path) -> Outcome:
@@ -65,27 +69,10 @@ def page(outcomes: list[Outcome]) -> str:
         "",
         "    python -m benchmarks.studies.petab SUITE -o docs/studies/petab.md",
         "",
-        "| case | outcome | error |",
-        "|---|---|---:|",
-        *(
-            f"| {one.case} | {one.end}{': ' * bool(one.said)}{'; '.join(one.said)} | {one.error:.2g} |"
-            for one in outcomes
-        ),
+        *table(outcomes, "error"),
     ]
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("suite", type=Path)
-    parser.add_argument("-o", dest="out", type=Path)
-    given = parser.parse_args()
-    outcomes = [judged(folder) for folder in sorted(given.suite.glob("v[12]/*")) if folder.is_dir()]
-    if given.out is not None:
-        given.out.write_text(page(outcomes), encoding="utf-8")
-    for one in outcomes:
-        print(one.case, one.end, f"{one.error:.3g}", *one.said)
-
-
 if __name__ == "__main__":
-    main()
+    main(__doc__, "v[12]/*", judged, page)

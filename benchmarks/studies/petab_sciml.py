@@ -7,7 +7,6 @@ SUITE is a folder with a folder for each case (`petab/problem.yaml`, `solutions.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import tempfile
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 import yaml
 
 import gbspec
+from benchmarks.studies.suites import main, table
 from gbspec.diagnostics import UserError
 from gbspec.ir import Model
 
@@ -33,6 +33,10 @@ class Outcome:
     value: float = 0.0
     gradient: float = 0.0
     derivatives: int = 0
+
+    def cells(self) -> tuple[str, ...]:
+        """Its errors."""
+        return f"{self.value:.2g}", str(self.derivatives), f"{self.gradient:.2g}"
 
 
 def judged(folder: Path) -> Outcome:
@@ -106,28 +110,10 @@ def page(outcomes: list[Outcome]) -> str:
         "",
         "    python -m benchmarks.studies.petab_sciml SUITE -o docs/studies/petab_sciml.md",
         "",
-        "| case | outcome | error | derivatives | their error |",
-        "|---|---|---:|---:|---:|",
-        *(
-            f"| {one.case} | {one.end}{': ' * bool(one.said)}{'; '.join(one.said)} | {one.value:.2g} "
-            f"| {one.derivatives} | {one.gradient:.2g} |"
-            for one in outcomes
-        ),
+        *table(outcomes, "error", "derivatives", "their error"),
     ]
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("suite", type=Path)
-    parser.add_argument("-o", dest="out", type=Path)
-    given = parser.parse_args()
-    outcomes = [judged(folder) for folder in sorted(given.suite.iterdir()) if folder.is_dir()]
-    if given.out is not None:
-        given.out.write_text(page(outcomes), encoding="utf-8")
-    for one in outcomes:
-        print(one.case, one.end, f"{one.value:.3g} {one.gradient:.3g} {one.derivatives}", *one.said)
-
-
 if __name__ == "__main__":
-    main()
+    main(__doc__, "*", judged, page)

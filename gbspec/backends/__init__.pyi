@@ -1,6 +1,7 @@
 from .base import Backend as Backend
 from .base import Refusal as Refusal
 from .casadi.evaluator import Evaluator as Evaluator
+from .module.algebraic import start_of as start_of
 from .module.layers import NetworkLayers as NetworkLayers
 from .module.layers import NetworkNumbers as NetworkNumbers
 from .module.layers import network_layers as network_layers
@@ -26,6 +27,7 @@ from .native.flat import flatten as flatten
 from .native.flat import numbers_of as numbers_of
 from .native.kernel_text import TILE as TILE
 from .native.kernel_text import Precision as Precision
+from .native.kernel_text import Source as Source
 from .native.kernel_text import activation_parts as activation_parts
 from .native.kernel_text import source as source
 from .native.library import Library as Library
@@ -36,6 +38,7 @@ from .native.printer import CPrinter as CPrinter
 from .printing import RECIPROCAL as RECIPROCAL
 from .printing import UNARY as UNARY
 from .printing import Guard as Guard
+from .printing import Printer as Printer
 from .printing import Where as Where
 from .printing import guarded as guarded
 from .protocol import Arithmetic as Arithmetic

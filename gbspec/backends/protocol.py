@@ -65,7 +65,11 @@ class Equations(Protocol):
         """The states that start in a steady state; in models that have any."""
 
     def steady(self, math: Arithmetic, condition: Value, inputs: Value, constants: Value, /) -> Value:
-        """Conditions and inputs while a steady state is sought, and the sums that are conserved; in such models."""
+        """Conditions and inputs while a steady state is sought, the sums that are conserved, and a number that is
+        positive where a trajectory starts so; in such models."""
+
+    def resumed(self, math: Arithmetic, state: Value, condition: Value, constants: Value, /) -> Value:
+        """The start that follows a steady state; in models that set states then."""
 
     def settled(self, slopes: Value, jacobians: Value, start: Value, laws: Value, /) -> Value:
         """The steady states [P, s] reached from starts, numpy, and the failures by row; in such models."""

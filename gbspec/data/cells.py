@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from hashlib import sha256
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.names import from_spreadsheets
+from gbspec.data.names import from_spreadsheets, similar
 from gbspec.data.sheet import Sheet, shown
 from gbspec.diagnostics import Cell, Findings
 
@@ -125,12 +126,7 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
         message = f"column `{name}` holds {str(series.dtype).lower()} values where names of trajectories are expected"
         findings.error("GB730", message, Cell(sheet.path, None, name), help="write them as texts or whole numbers")
         return [""], np.zeros(len(series), dtype=np.int64)
-    if series.dtype.is_float():
-        whole = series.is_finite() & (series == series.round(0))
-        whole_text = series.cast(pl.Int64, strict=False).cast(pl.String)
-        frame = pl.DataFrame({"whole": whole, "whole_text": whole_text, "text": series.cast(pl.String)})
-        series = frame.select(pl.when("whole").then("whole_text").otherwise("text")).to_series()
-    texts = series.cast(pl.String).fill_null("").str.strip_chars()
+    texts = _texts(series)
     if texts.str.starts_with("'").any():
         texts = pl.Series([from_spreadsheets(text) for text in texts], dtype=pl.String)
     empty = np.flatnonzero((texts == "").to_numpy())
@@ -144,6 +140,52 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
             notes=notes,
         )
     return coded(texts)
+
+
+def _texts(series: pl.Series) -> pl.Series:
+    """A column as texts without surrounding blanks; whole numbers without a fraction."""
+    if series.dtype.is_float():
+        whole = series.is_finite() & (series == series.round(0))
+        whole_text = series.cast(pl.Int64, strict=False).cast(pl.String)
+        frame = pl.DataFrame({"whole": whole, "whole_text": whole_text, "text": series.cast(pl.String)})
+        series = frame.select(pl.when("whole").then("whole_text").otherwise("text")).to_series()
+    return series.cast(pl.String).fill_null("").str.strip_chars()
+
+
+def categories(sheet: Sheet, name: str, known: tuple[str, ...], findings: Findings, rows: Mask | None = None) -> Array:
+    """The numbers of the categories in a column [n], NaN where a cell is empty or not among `rows`.
+
+    Reports cells with another text (GB733).
+    """
+    texts = _texts(sheet.columns[name])
+    numbered = texts.replace_strict(list(known), list(range(len(known))), default=None, return_dtype=pl.Float64)
+    values = numbered.fill_null(float("nan")).to_numpy().astype(np.float64)
+    missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()
+    wanted = np.ones(len(values), dtype=bool) if rows is None else rows
+    for i, notes in shown(np.flatnonzero(np.isnan(values) & ~missing & wanted), "cells"):
+        row, text = int(sheet.rows[i]), str(texts[int(i)])
+        meant = similar(text, list(known))
+        findings.error(
+            "GB733",
+            f"`{text[:40]}` in row {row} of column `{name}` is none of the model's categories",
+            Cell(sheet.path, row, name),
+            help=f"is `{meant}` meant?" if meant else "they are " + ", ".join(f"`{one}`" for one in known),
+            notes=notes,
+        )
+    return np.where(wanted, values, np.nan)
+
+
+def numbered(sheet: Sheet, name: str, findings: Findings) -> Array:
+    """A column of groups' labels as numbers [n]: numbers as they are, other texts by a number of their own, which is
+    the same in every table (the first 48 bits of the SHA-256 digest); NaN where a cell is empty."""
+    series = sheet.columns[name]
+    if series.dtype not in (pl.String, pl.Categorical):
+        return numbers(sheet, name, findings)
+    values, missing, texts = _from_text(series.cast(pl.String), sheet.decimal_comma)
+    words = np.isnan(values) & ~missing
+    different = {text: int(sha256(text.encode()).hexdigest()[:12], 16) for text in set(texts.filter(words))}
+    values[words] = [different[text] for text in texts.filter(words)]
+    return values
 
 
 def coded(texts: pl.Series) -> tuple[list[str], NDArray[np.int64]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, assert_never
 
 from gbspec.data.names import cell_name, similar
@@ -37,6 +37,10 @@ class Quantity:
     range: Range | None = None
     positive: bool = False
     """Whether its values must be above zero (a channel with lognormal noise)."""
+    categories: tuple[str, ...] = ()
+    """The names that stand in its cells (a condition with categories)."""
+    labels: bool = False
+    """Whether its cells may be texts, which only tell trajectories apart."""
     word: str = ""
     """What is said of a dose, for the role `regimen`: one of `REGIMEN`."""
 
@@ -58,7 +62,8 @@ def quantities(model: Model, require_channels: bool = True, regimens: bool = Tru
         found.append(Quantity("limit", i, channel.name, column, False))
     for i, condition in enumerate(model.conditions):
         column = cell_name(condition.column or condition.name)
-        found.append(Quantity("condition", i, condition.name, column, condition.default is None, condition.range))
+        made = Quantity("condition", i, condition.name, column, condition.default is None, condition.range)
+        found.append(replace(made, categories=condition.categories, labels=condition.labels))
     for i, signal in enumerate(model.inputs):
         column = cell_name(signal.column or signal.name)
         found.append(Quantity("input", i, signal.name, column, signal.default is None, signal.range))

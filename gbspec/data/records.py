@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.cells import coded, labels, numbers
+from gbspec.data.cells import categories, coded, labels, numbered, numbers
 from gbspec.data.columns import TRAJECTORY, Layout, Quantity, describe
 from gbspec.data.limits import Sides, measured, sides
 from gbspec.data.names import cell_name, similar
@@ -31,6 +32,13 @@ class Series:
     row: Index
     sd: Array
     side: Sides | None = None
+
+    def where(self, chosen: Mask) -> Series:
+        """The chosen cells; without a copy if these are all."""
+        if chosen.all():
+            return self
+        side = None if self.side is None else self.side[chosen]
+        return Series(self.key[chosen], self.value[chosen], self.row[chosen], self.sd[chosen], side)
 
 
 @dataclass(frozen=True)
@@ -111,10 +119,18 @@ def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> 
 # ---------------------------------------------------------------------------------------------------- wide layout
 
 
+def _order(group: Index, time: Array) -> Index | slice:
+    """The rows that have a time, by trajectory; all of them, without a copy, where a table is in this order."""
+    there = ~np.isnan(time)
+    if there.all() and not (group[1:] < group[:-1]).any():
+        return slice(None)
+    keep = np.flatnonzero(there)
+    return keep[np.argsort(group[keep], kind="stable")]
+
+
 def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
     """Records of the wide layout: one row per key, one column per quantity."""
-    keep = np.flatnonzero(~np.isnan(time))
-    order = keep[np.argsort(group[keep], kind="stable")]
+    order = _order(group, time)
     group, time, row = group[order], time[order], sheet.rows[order]
     _increasing(sheet.path, layout.time, names, group, time, row, findings, _unnamed(sheet, layout))
     cells: dict[Quantity, Array] = {}
@@ -126,22 +142,23 @@ def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
             values, limits = measured(sheet, quantity.column, findings)
             cells[quantity] = values[order]
             side[quantity.index] = limits[order] + side.get(quantity.index, 0)
+        elif quantity.categories:
+            cells[quantity] = categories(sheet, quantity.column, quantity.categories, findings)[order]
+        elif quantity.labels:
+            cells[quantity] = numbered(sheet, quantity.column, findings)[order]
         else:
             cells[quantity] = numbers(sheet, quantity.column, findings)[order]
     sds = {quantity.index: values for quantity, values in cells.items() if quantity.role == "sd"}
     series: dict[Quantity, Series] = {}
+    everywhere = np.arange(len(time), dtype=np.int64)
     for quantity, values in cells.items():
         if quantity.role == "sd":
             continue
-        key = np.flatnonzero(~np.isnan(values)).astype(np.int64)
         sd = sds.get(quantity.index) if quantity.role == "channel" else None
-        series[quantity] = Series(
-            key,
-            values[key],
-            row[key],
-            np.full(len(key), np.nan) if sd is None else sd[key],
-            side[quantity.index][key] if quantity.role == "channel" and side[quantity.index].any() else None,
-        )
+        some = quantity.role == "channel" and side[quantity.index].any()
+        sd = np.broadcast_to(np.nan, len(values)) if sd is None else sd
+        given = Series(everywhere, values, row, sd, side[quantity.index] if some else None)
+        series[quantity] = given.where(~np.isnan(values))
     return Records(sheet.path, names, group, time, row, series, layout.time)
 
 
@@ -198,7 +215,8 @@ def _unnamed(sheet: Sheet, layout: Layout) -> str:
 
 def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
     """Records of the long layout: one row per measurement of `name`, in any order; equal times are replicates."""
-    value, side = measured(sheet, "value", findings)
+    worded = [quantity for quantity in layout.columns if quantity.categories or quantity.labels]
+    value, side = _in_numbers(sheet, worded, findings) if worded else measured(sheet, "value", findings)
     sd = numbers(sheet, "sd", findings) if "sd" in sheet.columns else np.full(len(value), np.nan)
     kinds, kind = coded(_names(sheet))
     good = ~np.isnan(time)
@@ -225,6 +243,23 @@ def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
         if quantity.required and quantity.column not in kinds:
             _no_rows(sheet, quantity, similar(quantity.column, unread), findings)
     return Records(sheet.path, names, group[first], time[first], sheet.rows[first], series, layout.time)
+
+
+def _in_numbers(sheet: Sheet, worded: Sequence[Quantity], findings: Findings) -> tuple[Array, Sides]:
+    """The column `value` where the cells of some names are texts."""
+    names, series = _names(sheet), sheet.columns["value"]
+    found = np.full(len(series), np.nan)
+    for quantity in worded:
+        rows = (names == quantity.column).to_numpy()
+        if quantity.categories:
+            values = categories(sheet, "value", quantity.categories, findings, rows)
+        else:
+            values = numbered(sheet, "value", findings)
+        found = np.where(rows, values, found)
+    others = pl.Series("value", ~names.is_in([quantity.column for quantity in worded]).to_numpy())
+    plain = pl.DataFrame({"value": series}).select(pl.when(others).then(pl.col("value"))).to_series()
+    value, side = measured(replace(sheet, columns={**sheet.columns, "value": plain}), "value", findings)
+    return np.where(np.isnan(found), value, found), side
 
 
 def _no_limits(sheet: Sheet, quantity: Quantity, here: Index, findings: Findings) -> None:
@@ -271,7 +306,6 @@ def kept(table: Records, keep: Mask) -> Records:
     position = np.cumsum(keep) - 1
     series = {}
     for quantity, cells in table.series.items():
-        use = keep[cells.key]
-        series[quantity] = Series(position[cells.key[use]], cells.value[use], cells.row[use], cells.sd[use],
-                                  None if cells.side is None else cells.side[use])  # fmt: skip
+        chosen = cells.where(keep[cells.key])
+        series[quantity] = replace(chosen, key=position[chosen.key])
     return replace(table, group=table.group[keep], time=table.time[keep], row=table.row[keep], series=series)

@@ -18,9 +18,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from gbspec.arrays import Mask
+from gbspec.data.lines import Lines, lines_of
 from gbspec.data.names import cell_name
 from gbspec.data.published import where_to_get
+from gbspec.data.room import free_memory
 from gbspec.diagnostics import Cell, Findings
 from gbspec.files import read_bytes
 
@@ -29,6 +30,10 @@ PARQUET = frozenset({".parquet", ".pq"})
 FORMATS = "CSV (.csv), TSV (.tsv) or Parquet (.parquet)"
 SEPARATOR_NAMES = {",": "a comma", "\t": "a tab", ";": "a semicolon", "|": "a bar"}
 MOST_COLUMNS = 10_000
+SMALL = 100_000_000
+"""Texts of fewer bytes are read without asking for the free memory."""
+TIMES = 6
+"""The memory that reading a text takes, in times of its bytes (docs/reliability.md, Limits)."""
 LONGEST_LINE = 1_000_000
 """The bytes of one line of a text."""
 MOST_ROWS = 20_000_000
@@ -72,6 +77,8 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
             help=f"save the table as {FORMATS}; the file name extension determines the format",
         )
         return None
+    if suffix in SEPARATORS and not _room_ok(path, findings):
+        return None
     try:
         data = read_bytes(path)
     except OSError as error:
@@ -82,23 +89,47 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
     sha256 = hashlib.sha256(data).hexdigest()
     if suffix in PARQUET:
         return _parquet(str(path), data, sha256, findings)
-    return _delimited(str(path), data, SEPARATORS[suffix], sha256, findings)
+    text = [data]
+    del data  # what is not needed any more is freed at once: a table may take most of the memory
+    return _delimited(str(path), text, SEPARATORS[suffix], sha256, findings)
 
 
 # ---------------------------------------------------------------------------------------------------------- text
 
 
-def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Findings) -> Sheet | None:
-    """Reads a CSV or TSV file. With semicolons as separators, decimal commas are allowed."""
-    clean = _utf8(path, data, findings)
+def _room_ok(path: Path, findings: Findings) -> bool:
+    """Whether the memory suffices for a large text, as far as that is known."""
+    size = path.stat().st_size if path.is_file() else 0
+    free = free_memory() if size > SMALL else None
+    if free is None or TIMES * size <= free:
+        return True
+    need = f"reading it takes about {TIMES * size / 1e9:.3g} GB of memory"
+    findings.error(
+        "GB732",
+        f"the table has {size / 1e9:.3g} GB: {need}, and {free / 1e9:.3g} GB are free",
+        Cell(str(path)),
+        help="keep fewer rows (every tenth, or fewer trajectories) and only the columns that the model names, or use a "
+        "machine with more memory",
+    )
+    return False
+
+
+def _delimited(path: str, text: list[bytes], separator: str, sha256: str, findings: Findings) -> Sheet | None:
+    """Reads a CSV or TSV file, whose text is taken out of `text`. With semicolons as separators, decimal commas are
+    allowed."""
+    clean = _utf8(path, text.pop(), findings)
     if clean is None:
         return None
     if separator == "," and _by_semicolons(clean):
         separator = ";"
     if not _lines_ok(path, clean, findings):
         return None
-    records = _records(path, clean, separator, findings)
-    if records is None or not _width_ok(path, records, findings):
+    records = lines_of(clean, separator)
+    del clean
+    if records is None:
+        findings.error("GB709", "a quote is opened and never closed", Cell(path), help='quotes come in pairs: "…"')
+        return None
+    if not _width_ok(path, records, findings):
         return None
     if not len(records.rows):
         findings.error("GB704", "the table is empty", Cell(path), help="its first row names the columns")
@@ -186,7 +217,7 @@ def _lines_ok(path: str, data: bytes, findings: Findings) -> bool:
     return not len(long)
 
 
-def _width_ok(path: str, records: _Records, findings: Findings) -> bool:
+def _width_ok(path: str, records: Lines, findings: Findings) -> bool:
     """Whether the header has no more columns than are read."""
     width = int(records.widths[0]) if len(records.widths) else 0
     if width > MOST_COLUMNS:
@@ -198,57 +229,6 @@ def _width_ok(path: str, records: _Records, findings: Findings) -> bool:
 def _too_large(path: str, row: int | None, message: str, findings: Findings, notes: tuple[str, ...] = ()) -> None:
     help = "write the times below each other, one row for each, and a column only for what the model names"
     findings.error("GB732", message, Cell(path, row), help=help, notes=notes)
-
-
-@dataclass(frozen=True)
-class _Records:
-    """The records of a text: the header's bytes, the rows that are not blank, each record's row and width."""
-
-    header: bytes
-    body: bytes
-    rows: NDArray[np.int64]
-    widths: NDArray[np.int64]
-
-
-def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Records | None:
-    """Finds the beginning and the number of cells of each record; separators and line ends within quotes are text."""
-    data = data if data.endswith(b"\n") else data + b"\n"
-    characters = np.frombuffer(data, dtype=np.uint8)
-    outside = np.ones(len(characters), dtype=bool)
-    if b'"' in data:
-        # the parity of the number of quotes so far, which an overflow does not change
-        outside = (np.cumsum(characters == ord('"'), dtype=np.uint8) & 1) == 0
-        if not outside[-1]:
-            findings.error("GB709", "a quote is opened and never closed", Cell(path), help='quotes come in pairs: "…"')
-            return None
-    ends = np.flatnonzero((characters == ord("\n")) & outside)
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    widths = np.add.reduceat((characters == ord(separator)) & outside, starts, dtype=np.int64) + 1
-    # A row of separators only, as spreadsheets write, is blank too.
-    visible = characters != ord("\n")
-    for blank in (" ", "\t", separator):
-        visible &= characters != ord(blank)
-    filled = np.add.reduceat(visible, starts, dtype=np.int64) > 0
-    filled &= ~_comments_above(characters, starts, filled)
-    rows = np.flatnonzero(filled) + 1
-    if not len(rows):
-        return _Records(b"", b"", rows, widths[filled])
-    first = rows[0] - 1
-    body = data[ends[first] + 1 :]
-    if not filled[first + 1 :].all():
-        keep = np.repeat(filled[first + 1 :], (ends - starts + 1)[first + 1 :])
-        body = characters[ends[first] + 1 :][keep].tobytes()
-    return _Records(data[starts[first] : ends[first]], body, rows, widths[filled])
-
-
-def _comments_above(characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: Mask) -> Mask:
-    """A mask of the comment lines above the header: those that begin with `#`, up to the first that does not."""
-    comment = np.zeros(len(starts), dtype=bool)
-    for line in np.flatnonzero(filled):
-        if characters[starts[line]] != ord("#"):
-            break
-        comment[line] = True
-    return comment
 
 
 def _header_ok(path: str, names: list[str], separator: str, findings: Findings) -> bool:
@@ -294,7 +274,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _same_width(path: str, records: _Records, expected: int, findings: Findings) -> bool:
+def _same_width(path: str, records: Lines, expected: int, findings: Findings) -> bool:
     """Whether every record has as many cells as the header; reports the first few others."""
     wrong = np.flatnonzero(records.widths != expected)
     for i, notes in shown(wrong, "rows"):

@@ -63,12 +63,14 @@ def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channel
         raise UserError(tuple(findings))
     wanted = quantities(model, require_channels)
     table, kind = _recorded(sheet, model, wanted, form, findings)
+    source = sheet.path, sheet.sha256, len(sheet.rows)
+    del sheet  # its texts are not needed any more, and a table may take most of the memory
     check(table, model, wanted, require_channels, findings)
     findings.raise_if_failed()
     conditions = _conditions(table, model)
     items = _cut(table, model, require_channels, conditions, regimens(table, model, conditions, findings))
     channels = tuple(channel.name for channel in model.channels)
-    return Trajectories(items, channels, sheet.path, sheet.sha256, len(sheet.rows), kind, form_of(model))
+    return Trajectories(items, channels, *source, kind, form_of(model))
 
 
 def _recorded(
@@ -100,9 +102,11 @@ def _cut(
         hit = np.any(counts > 0, axis=1)
     items: list[Trajectory] = []
     for g, label in enumerate(table.labels):
-        rows = np.arange(edges[g], edges[g + 1])
-        rows = rows[hit[rows]]
-        if not len(rows):
+        rows: slice | NDArray[np.int64] = slice(edges[g], edges[g + 1])
+        if not hit[rows].all():
+            rows = np.flatnonzero(hit[rows]) + edges[g]
+        times = table.time[rows]
+        if not len(times):
             continue
         run_in = given[g].run_in
         start = float(starts[g]) if run_in is None else given[g].start - run_in.duration
@@ -110,7 +114,7 @@ def _cut(
             Trajectory(
                 label=label,
                 start=start,
-                times=table.time[rows],
+                times=times,
                 values=values[rows],
                 counts=counts[rows],
                 sd=sd[rows],
@@ -120,26 +124,28 @@ def _cut(
                     given[g],
                     [_signal(p[g], start, one.default) for p, one in zip(inputs, model.inputs, strict=True)],
                     start,
-                    table.time[rows],
+                    times,
                 ),
                 doses=given[g].doses,
                 run_in=run_in,
-                limits=limits.rows(rows) if limits.side[rows].any() else None,
+                limits=limits.rows(rows) if limits is not None and limits.side[rows].any() else None,
             )
         )
     return tuple(items)
 
 
-def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, Limits]:
+def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, Limits | None]:
     """Values, numbers of measurements and standard deviations at each key, [keys, channels]; replicates averaged; and
-    limits, which have no value.
+    limits, which have no value (None without any).
 
     The standard deviation of an average of n is sqrt(sum of squares)/n; it is given if all of them have one.
     """
     size = len(table.time)
     values, counts = np.full((size, channels), np.nan), np.zeros((size, channels))
     sd = np.full((size, channels), np.nan)
-    limits = Limits(np.full((size, channels), np.nan), np.zeros((size, channels), dtype=np.int8))
+    limits: Limits | None = None
+    if any(cells.side is not None for cells in table.series.values()):
+        limits = Limits(np.full((size, channels), np.nan), np.zeros((size, channels), dtype=np.int8))
     for quantity, cells in table.series.items():
         if quantity.role != "channel":
             continue
@@ -153,7 +159,7 @@ def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, L
             variance = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
             values[several, c] = mean[several] / counts[several, c]
             sd[several, c] = np.sqrt(variance[several]) / counts[several, c]
-        if cells.side is not None:
+        if cells.side is not None and limits is not None:
             censored = cells.side != 0
             limits.side[cells.key, c] = cells.side
             limits.value[cells.key[censored], c] = cells.value[censored]

@@ -157,10 +157,14 @@ def frame_of(trajectories: Trajectories, form: Form) -> pl.DataFrame:
     stacked = np.concatenate(blocks) if blocks else np.zeros((0, width))
     labels = [item.label for item, block in zip(trajectories.items, blocks, strict=True) for _ in range(len(block))]
     columns = {TRAJECTORY: pl.Series(labels, dtype=pl.String)}
+    names_of = {quantity.column: quantity.categories for quantity in form.quantities}
     for name, values in zip(names, stacked.T, strict=True):
         if name.startswith(("sd_", "limit_")) and np.isnan(values).all():
             continue
         columns[name] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
+        if names_of.get(name):
+            known = dict(enumerate(names_of[name]))
+            columns[name] = columns[name].replace_strict(list(known), list(known.values()), return_dtype=pl.String)
     return pl.DataFrame(columns)
 
 

@@ -1,3 +1,5 @@
+from .checking import Quantity as Quantity
+from .checking import require as require
 from .example import Example as Example
 from .example import plain as plain
 from .forms import FORMS as FORMS

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:  # the command line lists the forms, and needs neither models nor numbers for that
+    from gbspec.arrays import Array
+    from gbspec.data import Trajectories
     from gbspec.diagnostics import Diagnostic
     from gbspec.exports.checking import Quantity
     from gbspec.exports.example import Example
@@ -19,11 +21,14 @@ Shape = Literal["folder", "file"]
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """`verify`: compare with the generated module; `precision` and `part` are those of ONNX graphs."""
+    """`verify`: compare with the generated module; `precision` and `part` are those of ONNX graphs; `data` and the
+    `starts` [N, n] of its trajectories, as far as the model does not give them, are those of PEtab problems."""
 
     verify: bool = True
     precision: Precision = "float64"
     part: str | None = None
+    data: Trajectories | None = None
+    starts: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,10 @@ class Form:
     packed: bool = field(default=False, kw_only=True)
     single: str = field(default="", kw_only=True)
     """The suffix of a path that gets one part alone."""
+    simulates: bool = field(default=False, kw_only=True)
+    """Whether it has a program that simulates the example."""
+    tabled: bool = field(default=False, kw_only=True)
+    """Whether it needs a table of measurements."""
 
 
 def record(exported: Exported, form: str) -> bytes:

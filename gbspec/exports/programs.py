@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from gbspec.backends import Flat, NotCoveredError, Operation, flatten
-from gbspec.ir import Expr, Model, State, Unknown, unknown_function
+from gbspec.ir import Event, Expr, Model, State, Unknown, unknown_function
 
 MOST_OPERATIONS = 20_000
 """Most operations of one function: compilers take minutes for straight code that is longer."""
@@ -31,11 +31,11 @@ class Application:
 class Programs:
     """The functions of a model, each flattened once. Raises NotCoveredError for what no export can express."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, events: bool = False) -> None:
         if model.delays:
             raise NotCoveredError("it has delays, for which an exported program would have to keep its past")
-        if model.events:
-            raise NotCoveredError("it has events, which no exported program carries out yet")
+        if model.events and not events:
+            raise NotCoveredError("it has events, which only functional mock-up units carry out yet")
         if model.algebraics:
             raise NotCoveredError("it has algebraic variables, for which no exported program solves equations yet")
         if model.steady is not None:
@@ -82,6 +82,47 @@ class Programs:
         moving = {item.symbol for group in (self.model.states, self.model.inputs) for item in group}
         moving.add(self.model.time.symbol)
         return [value for value in found if value.free_symbols & moving]
+
+    @cached_property
+    def conditional(self) -> tuple[Event, ...]:
+        """The events with a condition; those at given times come before them."""
+        return tuple(event for event in self.model.events if event.guard is not None)
+
+    @cached_property
+    def timed(self) -> tuple[Event, ...]:
+        """The events at given times."""
+        return tuple(event for event in self.model.events if event.timing is not None)
+
+    @cached_property
+    def guards(self) -> Flat:
+        """A number for each event with a condition, positive or zero where it is true."""
+        return self._flat([event.guard for event in self.conditional if event.guard is not None])
+
+    @cached_property
+    def ranks(self) -> Flat:
+        """The priority of each event."""
+        events = (*self.timed, *self.conditional)
+        return self._flat([sympy.Float(e.priority) if e.rank is None else e.rank for e in events])
+
+    @cached_property
+    def happen(self) -> Flat:
+        """Every state after each event."""
+        out = []
+        for event in (*self.timed, *self.conditional):
+            values = dict(event.values)
+            out += [values.get(state.name, state.symbol) for state in self.model.states]
+        return self._flat(out)
+
+    @cached_property
+    def timing(self) -> Flat:
+        """For each timed event its first time (NaN: the start), its interval (0: once) and its last time."""
+        out: list[Expr] = []
+        for event in self.timed:
+            assert event.timing is not None
+            parts = (event.timing.at, event.timing.every, event.timing.until)
+            absent = (sympy.nan, sympy.S.Zero, sympy.oo)
+            out += [other if part is None else part for part, other in zip(parts, absent, strict=True)]
+        return self._flat(out)
 
     @cached_property
     def doses(self) -> Flat:

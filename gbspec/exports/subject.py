@@ -12,7 +12,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, NetworkNumbers, NotCoveredError, network_numbers, numbers_of
-from gbspec.ir import METHODS, Explicit, Model, Range
+from gbspec.ir import METHODS, Explicit, Model, Range, whole
 from gbspec.version import __version__
 
 NOTHING_KNOWN = 1.0
@@ -76,7 +76,7 @@ class Exported:
     def conditions(self) -> Array:
         """Values of the conditions: set by the user, the default, or the middle of the range."""
         found = [_first(self.values.get(c.name), c.default, _middle(c.range)) for c in self.model.conditions]
-        return np.array(found, dtype=np.float64)
+        return whole(self.model.conditions, np.array(found, dtype=np.float64))
 
     @cached_property
     def inputs(self) -> Array:

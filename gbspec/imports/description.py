@@ -75,6 +75,18 @@ class Event:
     transient: bool = False
     queue: int = 1
     description: str = ""
+    at: Formula | None = None
+    """The time, if the condition is that it has come."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A start in a steady state: what inputs and conditions are meanwhile, what states are set to then, and the
+    condition of the trajectories that start so (None: all)."""
+
+    held: tuple[tuple[str, Formula], ...] = ()
+    after: tuple[tuple[str, Formula], ...] = ()
+    when: Formula | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +117,7 @@ class Description:
     conversions: list[Conversion] = field(default_factory=list)
     balances: dict[str, Formula] = field(default_factory=dict)
     """The right side of each state with a balance, without `net`, which is added where it has conversions too."""
+    rest: Rest | None = None
     events: list[Event] = field(default_factory=list)
     channels: list[Channel] = field(default_factory=list)
 

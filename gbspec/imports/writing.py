@@ -6,14 +6,14 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from gbspec.imports.description import Channel, Conversion, Description, Event, Quantity
+from gbspec.imports.description import Channel, Conversion, Description, Event, Quantity, Rest
 from gbspec.imports.formulas import ONE, ZERO, Formula, condition_text, names, text, walk
 from gbspec.syntax import REFUSED, is_name
 
 _WORDS = """
     model time unit state condition input const learn let function unknown process initial observe dose diffusion
     conserve truth effect correlate allow without algebraic equation event discrete delay history table steady
-    held linear noise rate prior per from in as by extends times lag trajectory
+    held linear noise rate prior per from in as by extends times lag trajectory then when
 """
 KEYWORDS = frozenset(_WORDS.split())
 """Words of the grammar; no quantity is named like one, though most could be."""
@@ -81,6 +81,7 @@ class _Writer:
             [self._process(c) for c in made.conversions],
             [self._balance(name, value) for name, value in made.balances.items()],
             [self._initial(q) for q in made.states if q.value is not None and not q.discrete],
+            [] if made.rest is None else [self._rest(made.rest)],
             [self._event(e) for e in made.events],
             [self._channel(c) for c in made.channels],
         ]
@@ -113,6 +114,8 @@ class _Writer:
         value = f" = {self._text(one.value)}" if one.value is not None else ""
         keyword = "condition" if one.condition else "const" if one.learn is None else "learn"
         clauses = f" {one.learn}" if one.learn else ""
+        if one.condition and self.spelled(one.id) != one.id:  # the table has the name of the source
+            clauses += f' as "{quoted(one.id)}"'
         return f"{keyword} {self.spelled(one.id)}{self._unit(one)}{value}{clauses}{self._said(one.description)}"
 
     def _function(self, name: str, arguments: tuple[str, ...], value: Formula, description: str) -> str:
@@ -157,6 +160,15 @@ class _Writer:
         assert one.value is not None
         return f"initial {self.spelled(one.id)} = {self._text(one.value)}"
 
+    def _rest(self, one: Rest) -> str:
+        clauses = [
+            f" {word} " + ", ".join(f"{self.spelled(name)} = {self._text(value)}" for name, value in pairs)
+            for word, pairs in (("with", one.held), ("then", one.after))
+            if pairs
+        ]
+        when = "" if one.when is None else f" when {condition_text(one.when, self.spelled, self.time)}"
+        return f"initial steady{''.join(clauses)}{when}"
+
     def _event(self, one: Event) -> str:
         condition = condition_text(one.condition, self.spelled, self.time)
         clauses = [f"after {self._text(one.after)}"] if one.after is not None else []
@@ -166,7 +178,10 @@ class _Writer:
         clauses += [word for word, said in flags.items() if said]
         how = "".join(f" {clause}" for clause in clauses)
         values = ", ".join(f"{self.spelled(state)} = {self._text(value)}" for state, value in one.values)
-        return f"event {self.spelled(one.id)} when {condition}{how}: {values}{self._said(one.description)}"
+        when = f"when {condition}"
+        if one.at is not None and one.after is None and not any(flags.values()):
+            when = f"at {self._text(one.at)}"
+        return f"event {self.spelled(one.id)} {when}{how}: {values}{self._said(one.description)}"
 
     def _channel(self, one: Channel) -> str:
         column = one.column + "_" * bool(_COLUMNS.match(one.column))
@@ -227,6 +242,10 @@ def _formulas(made: Description) -> Iterable[Formula]:
         yield conversion.rate
         yield from (factor for factor, _ in (*conversion.consumed, *conversion.produced))
     yield from made.balances.values()
+    if made.rest is not None:
+        yield from (value for _, value in (*made.rest.held, *made.rest.after))
+        if made.rest.when is not None:
+            yield made.rest.when
     for event in made.events:
         yield from (event.condition, event.priority, *(value for _, value in event.values))
         if event.after is not None:

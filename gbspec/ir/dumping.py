@@ -11,7 +11,7 @@ from gbspec.ir.algebra import EquationBlock
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Level, Noise
 from gbspec.ir.events import Event, Timing
-from gbspec.ir.model import NN, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
+from gbspec.ir.model import NN, Condition, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
@@ -116,7 +116,7 @@ def _declarations(model: Model) -> list[str]:
     lines += _section("states", (_state(model, i) for i in range(len(model.states))))
     lines += _section(
         "conditions",
-        (f"{_head(c)}{_range(c.range)}{_default(c.default)}{_column(c.name, c.column)}" for c in model.conditions),
+        (f"{_head(c)}{_among(c)}{_default(c.default)}{_column(c.name, c.column)}" for c in model.conditions),
     )
     lines += _section(
         "inputs",
@@ -263,6 +263,13 @@ def _head(item: Declared) -> str:
 
 def _range(bounds: Range | None) -> str:
     return "" if bounds is None or bounds == Range() else f" in [{bounds.low!r}, {bounds.high!r}]"
+
+
+def _among(condition: Condition) -> str:
+    """The range, or the categories."""
+    if not condition.categories:
+        return _range(condition.range)
+    return " in {" + ", ".join(f'"{name}"' for name in condition.categories) + "}"
 
 
 def _default(value: float | None) -> str:

@@ -58,11 +58,17 @@ class State(Declared):
 
 @dataclass(frozen=True)
 class Condition(Declared):
-    """A known quantity, constant within a trajectory; `column` is its name in the data."""
+    """A known quantity, constant within a trajectory; `column` is its name in the data.
+
+    `categories`: their names, where its values are numbers of categories, 0, 1, and so on. `labels`: its cells may be
+    texts, which only tell trajectories apart.
+    """
 
     range: Range | None = None
     default: float | None = None
     column: str = ""
+    categories: tuple[str, ...] = ()
+    labels: bool = False
 
 
 @dataclass(frozen=True)

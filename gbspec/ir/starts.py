@@ -40,9 +40,14 @@ MEASURED = Initial("measured")
 @dataclass(frozen=True)
 class Steady:
     """A start in a steady state: of the states `states`, while conditions and inputs have the values `held` (doses are
-    off), with the totals of their starts by the linear `laws`: coefficients of these states."""
+    off), with the totals of their starts by the linear `laws`: coefficients of these states.
+
+    `after`: the values that states get then, in constants, conditions and the states there. `chosen`: 1 in trajectories
+    that start so, 0 in others, which start at the declared values; None: all do."""
 
     states: tuple[int, ...]
     held: tuple[tuple[str, Expr], ...] = ()
     laws: tuple[tuple[Expr, ...], ...] = ()
+    after: tuple[tuple[int, Expr], ...] = ()
+    chosen: Expr | None = None
     span: Span | None = field(default=None, compare=False, repr=False)

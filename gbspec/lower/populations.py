@@ -80,7 +80,7 @@ def completed(model: ir.Model, checked: Checked) -> ir.Model:
     groups = [tuple(n.text for n in s.constants) for s in checked.all(ast.CorrelateStatement)]
     channels = model.channels
     noises: list[ir.Learnable] = []
-    if model.distributed:
+    if model.distributed or (model.marginal and not model.diffusions):
         channels, noises = _with_noise(model, checked)
     known = {k.name for k in model.learnables}
     implied = [
@@ -100,7 +100,9 @@ def _columns(model: ir.Model) -> Iterable[ir.Condition]:
         for level in learnable.distribution.levels if learnable.distribution is not None else ():
             if level.column not in known:
                 known.add(level.column)
-                yield ir.Condition(level.column, description="a group of trajectories", span=learnable.span)
+                yield ir.Condition(
+                    level.column, labels=True, description="a group of trajectories", span=learnable.span
+                )
 
 
 def _medians(distributed: Iterable[ir.Learnable]) -> list[ir.Learnable]:

@@ -250,6 +250,7 @@ class _Lowering:
             self._range(s.range),
             self._number(s.default),
             s.column.value if s.column is not None else s.name.text,
+            tuple(name.text for name in s.categories.names) if s.categories is not None else (),
             unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,

@@ -32,7 +32,8 @@ def lowered(model: Model, checked: Checked, fixed: Lower, findings: Findings) ->
     held += tuple((item.name, sympy.S.Zero) for item in model.inputs if item.infuses)
     span = whole.span if whole is not None else model.states[chosen[0]].initial.span
     _independent(states, chosen, findings)
-    return replace(model, states=tuple(states), steady=Steady(tuple(chosen), held, span=span))
+    after, sought = ((), None) if whole is None else (_after(model, whole, fixed, findings), _chosen(whole, fixed))
+    return replace(model, states=tuple(states), steady=Steady(tuple(chosen), held, (), after, sought, span))
 
 
 def _begun(state: State, whole: ast.SteadyStatement | None, findings: Findings) -> State:
@@ -83,6 +84,34 @@ def _held(model: Model, whole: ast.SteadyStatement, fixed: Lower, findings: Find
         else:
             found[name.text] = fixed(one.value)
     return tuple(found.items())
+
+
+def _after(model: Model, whole: ast.SteadyStatement, fixed: Lower, findings: Findings) -> tuple[tuple[int, Expr], ...]:
+    """What states are set to after the steady state was found; right sides see the values before."""
+    names = [state.name for state in model.states]
+    found: dict[int, Expr] = {}
+    for one in whole.after:
+        name = target_name(one.target)
+        if name.text not in names or isinstance(one.target, ast.Index):
+            findings.error(
+                "GB815",
+                f"`{name.text}` is no state, so that nothing sets it after the steady state",
+                name.span,
+                help=suggestion(name.text, names) or "write `then X = 1` for a state `X`",
+                subject=name.text,
+            )
+        elif names.index(name.text) in found:
+            findings.error("GB815", f"`{name.text}` is set twice", name.span, help="delete one of them")
+        else:
+            found[names.index(name.text)] = fixed(one.value)
+    return tuple(found.items())
+
+
+def _chosen(whole: ast.SteadyStatement, fixed: Lower) -> Expr | None:
+    """1 where the condition of the statement holds, else 0."""
+    if whole.condition is None:
+        return None
+    return sympy.Piecewise((1, fixed(whole.condition)), (0, True))
 
 
 def _independent(states: list[State], chosen: list[int], findings: Findings) -> None:

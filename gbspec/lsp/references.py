@@ -94,6 +94,10 @@ def renamable(workspace: Workspace, path: str | Path, offset: int) -> Occurrence
         raise Refused(f"`{symbol.name}` is not declared")
     if symbol == Symbol("name", DEFAULT_TIME) and not _declared_in_chain(workspace, path, symbol):
         raise Refused(f"`{symbol.name}` is the time of a model without a `time` statement; write `time tau` first")
+    for found in everywhere(workspace, path, symbol):
+        table = found.statement if found.declares else None
+        if isinstance(table, ast.TableStatement) and table.file is not None:
+            raise Refused(f"`{symbol.name}` is the name of a column in the file of the table `{table.name.text}`")
     return here
 
 

@@ -49,6 +49,7 @@ CLAUSES: dict[str, str] = {
     "equals": "`equals e at v = e0`: the function's value there, for every weight",
     "steady": "`initial steady`, `initial X steady`: the start is a steady state, reached from the declared starts",
     "with": "`initial steady with L = 0`: the value of an input or a condition while the steady state is sought",
+    "then": "`initial steady then X = 1`: what a state is set to once the steady state was found",
     "learn": "the initial value is learned for each trajectory",
 }
 """The words within statements."""

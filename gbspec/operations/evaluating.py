@@ -16,8 +16,10 @@ from gbspec.frames import Tabled, of_rows
 if TYPE_CHECKING:
     import polars as pl
 
+    from gbspec.backends import GeneratedModule
     from gbspec.data import Trajectories
     from gbspec.ir import Model
+    from gbspec.operations.models import Subject
     from gbspec.runs import Run
     from gbspec.training import Evaluated
 
@@ -83,7 +85,7 @@ class Evaluation(Tabled):
 
 def of_model(model: Model, data: Trajectories, values: Mapping[str, float] | None = None) -> Evaluation:
     """The objective of a model on data: learnables at their values, else their truths, else their starts."""
-    made = _known(model, values or {})
+    made = known(model, values or {})
     constants = np.tile([k.start for k in made.learnables], (len(data), 1))
     return _evaluated(made, data, constants, _starts(made, data, None), {}, {})
 
@@ -107,7 +109,7 @@ def of_run(
         for j, place in enumerate(positions):
             if own is not None and place is not None:
                 constants[j, i] = own[place]
-    learned = [None if place is None else np.asarray(instance.weights["initial"][place]) for place in positions]
+    learned = _learned_starts(chosen, instance, data)
     noise = {name: sd for name, sd in chosen.fit.noise.items() if sd}
     return _evaluated(chosen.model, data, constants, _starts(chosen.model, data, learned), instance.weights, noise)
 
@@ -135,15 +137,15 @@ def _evaluated(
     return Evaluation(model.name, found, tuple(findings))
 
 
-def _known(model: Model, values: Mapping[str, float]) -> Model:
+def known(model: Model, values: Mapping[str, float]) -> Model:
     """A model with its unknowns at their truths, in which the learnables are free and start at the asked values."""
     from gbspec.passes import with_truth, with_values
 
     changed = frontend.verified(with_values(model, values), "with_values") if values else model
     truths = {t.name: t.value for t in changed.truth_constants}
-    known = with_truth(changed)
+    true = with_truth(changed)
     free = tuple(replace(k, start=truths.get(k.name, k.start)) for k in changed.learnables)
-    return replace(known, constants=changed.constants, learnables=free)
+    return replace(true, constants=changed.constants, learnables=free)
 
 
 def _offered(model: Model) -> None:
@@ -181,6 +183,20 @@ def _with_noise(model: Model, data: Trajectories, noise: Mapping[str, float]) ->
             help = f"write `noise normal(…)` after `observe {channel.name}`, or give a column `sd_{channel.column}`"
             findings.error("GB886", message, channel.span, help=help)
     findings.raise_if_failed()
+
+
+def starts_of(source: Subject, data: Trajectories) -> Array:
+    """The starts [N, n] of trajectories from which a subject is evaluated. Raises UserError (GB887)."""
+    if source.run is None:
+        return _starts(source.model, data, None)
+    return _starts(source.model, data, _learned_starts(source.run, source.evaluator.instance, data))
+
+
+def _learned_starts(run: Run, instance: GeneratedModule, data: Trajectories) -> list[Array | None]:
+    from gbspec.analysis import learned_positions
+
+    positions = learned_positions(instance, data, run.fit.data)
+    return [None if place is None else np.asarray(instance.weights["initial"][place]) for place in positions]
 
 
 def _starts(model: Model, data: Trajectories, learned: list[Array | None] | None) -> Array:

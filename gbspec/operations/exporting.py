@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError, packages
-from gbspec.operations import tables
+from gbspec.operations import evaluating, exchanging, tables
 from gbspec.operations.models import Subject
 
 if TYPE_CHECKING:
-    from gbspec.data import SimulateOptions
+    from gbspec.data import SimulateOptions, Trajectories
     from gbspec.exports import Example, Exported, ExportOptions, Form, Layout, Precision
     from gbspec.ir import Range
 
-ExportForm = Literal["c", "fmu", "fmu2", "fmu3", "onnx"]
+ExportForm = Literal["c", "fmu", "fmu2", "fmu3", "onnx", "petab", "sbml"]
 """The forms, for type checkers; a test compares them with those that there are."""
 SPAN, INTERVAL = 10.0, 0.5
 """The duration of the trajectory that an exported program simulates, and the interval of its outputs."""
@@ -56,21 +56,32 @@ def export(
     if the export differs from the generated module.
     """
     from gbspec.backends import NotCoveredError
-    from gbspec.exports import FORMS, Exported, check, layout, write
+    from gbspec.exports import FORMS, Exported, check, layout, plain, write
 
     chosen = FORMS[form]
     written = layout(path, chosen.packed, chosen.single)
     check(path, written)
     options = _suited(options, form, chosen, written)
+    if chosen.tabled and source.individuals is not None:
+        reason = "its constants are distributed between trajectories (`~`)"
+        raise UserError([_refused(form, source.model.name, reason)])
+    if options.data is not None:
+        options = replace(options, starts=evaluating.starts_of(source, options.data))
+        source = _with_noise(source)
+    if chosen.name in exchanging.FORMS and source.origin is not None:  # what is learned stays so
+        source = replace(source, model=evaluating.known(source.origin, source.values))
     number = source.member
     step = None if source.run is None or number is None else source.run.step(number)
     subject = Exported(source.model, source.evaluator.instance, name or source.model.name, source.values, step)
     if not source.model.states:
         raise UserError([_refused(form, source.model.name, "it has no states")])
     try:
-        made = chosen.make(subject, example(source, subject), options)
+        shown = example(source, subject) if chosen.simulates else plain(subject)
+        made = chosen.make(subject, shown, options)
     except NotCoveredError as problem:
         raise UserError([_refused(form, source.model.name, str(problem))]) from None
+    if options.verify and form in exchanging.FORMS:
+        made = exchanging.checked(source, subject, form, made, options)
     findings.extend(made.remarks)
     size = write(path, made.files, written)
     checked = {quantity.name: quantity.error for quantity in made.checked}
@@ -87,22 +98,40 @@ def exported(
     verify: bool = True,
     precision: Precision = "float64",
     part: str | None = None,
+    data: Trajectories | None = None,
 ) -> Export:
     """`export` with its options as arguments. Raises ValueError if there is no such form."""
     from gbspec.exports import ExportOptions
 
     if form not in forms():
         raise ValueError(f"there is no form `{form}`; there are {', '.join(forms())}")
-    return export(source, path, form, ExportOptions(verify, precision, part), Findings(), name)
+    return export(source, path, form, ExportOptions(verify, precision, part, data), Findings(), name)
+
+
+def _with_noise(source: Subject) -> Subject:
+    """A run with the noises that its fit found, for the channels that state none."""
+    from gbspec.ir import Noise
+
+    if source.run is None:
+        return source
+    found = {name: sd for name, sd in source.run.fit.noise.items() if sd}
+    channels = tuple(
+        replace(c, noise=Noise("normal", found[c.name])) if c.noise is None and c.name in found else c
+        for c in source.model.channels
+    )
+    return replace(source, model=replace(source.model, channels=channels))
 
 
 def _suited(options: ExportOptions, form: str, chosen: Form, written: Layout) -> ExportOptions:
     """The options for a path of one file: its part. Raises `UserError` (GB881) for an option that a form has not."""
-    if not chosen.single and (options.part is not None or options.precision != "float64"):
+    if chosen.tabled and options.data is None:
+        message = f"the form `{form}` needs a table of measurements"
+        raise UserError([Diagnostic("GB891", message, None, help="name one: `--data table.csv`")])
+    if form != "onnx" and (options.part is not None or options.precision != "float64"):
         given = "part" if options.part is not None else "precision"
         message = f"the form `{form}` has no option `{given}`"
         raise UserError([Diagnostic("GB881", message, None, help="`--part` and `--precision` are of `--as onnx`")])
-    return replace(options, part="rhs") if written == "file" and options.part is None else options
+    return replace(options, part="rhs") if form == "onnx" and written == "file" and options.part is None else options
 
 
 def _refused(form: str, model: str, reason: str) -> Diagnostic:

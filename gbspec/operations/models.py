@@ -34,6 +34,8 @@ class Subject:
     values: Mapping[str, float] = field(default_factory=dict)
     member: int | None = None
     individuals: Individuals | None = None
+    origin: Model | None = None
+    """The model before its truth was substituted; None of a run."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,9 @@ def reference(model: Model, values: Mapping[str, float] | None = None, method: M
     known = frontend.verified(with_truth(model), "with_truth")
     if values:
         known = frontend.verified(with_values(known, values), "with_values")
-    return Subject(known, Evaluator(load_module(known, method)()), values=values or {}, individuals=individuals)
+    return Subject(
+        known, Evaluator(load_module(known, method)()), values=values or {}, individuals=individuals, origin=model
+    )
 
 
 def truth_of(source: Subject) -> Subject | None:

@@ -73,6 +73,6 @@ def report(
             analysing.bifurcate(source, *diagram, cycles=cycles),
             analysing.true_diagram(source, *diagram, cycles=cycles),
         )
-    spectra = None if data is None else analysing.eigen(source, along=data)
+    spectra = None if data is None or run.model.events else analysing.eigen(source, along=data)
     fitted = None if data is None else Fitted(run, data)
     write_text(path, page(fitted, run, Found(analysing.validate(run, data), spectra, drawn)))

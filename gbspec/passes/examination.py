@@ -8,6 +8,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes.conservation import Law, linear_laws
 from gbspec.passes.identifiability import Identifiability, identifiability
+from gbspec.passes.starts import unknown_starts
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class Examination:
 
 
 def examine(model: Model, findings: Findings) -> Examination:
-    """Finds both; parameters that cannot be separated are recorded as warnings (GB401, GB402)."""
+    """Finds both; parameters that cannot be separated are recorded as warnings (GB401, GB402), and starts that `train`
+    refuses (GB790)."""
+    unknown_starts(model, findings)
     laws = () if model.events else linear_laws(model)  # an event may change any of them; delayed values are like inputs
     return Examination(laws, identifiability(model, findings), bool(model.diffusions))

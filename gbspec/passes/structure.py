@@ -2,8 +2,8 @@
 
 A maximum matching pairs equations with variables. What it leaves over are errors that name the equations and variables
 of the over- or underdetermined part (Dulmage and Mendelsohn); else the strongly connected components of the matching
-are the blocks, each of which is solved after those that it depends on. An equation that gives its variable by a
-formula is solved here, and the variable becomes an intermediate of the Model.
+are the blocks, each of which is solved after those that it depends on. Blocks whose variables formulas give are solved
+here (`gbspec.passes.linear`), and the variables become intermediates of the Model.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import sympy
 
 from gbspec.diagnostics import Findings, Span
 from gbspec.ir import Equation, EquationBlock, Expr, Intermediate, Model
+from gbspec.passes.linear import solved_by_formulas
 from gbspec.passes.regularity import dependent
 
 Incidence = Sequence[frozenset[int]]
@@ -294,16 +295,14 @@ def _with_blocks(model: Model, residuals: Sequence[Expr], found: Sequence[tuple[
     kept, formulas = [], []
     for equations, variables in found:
         own = [model.algebraics[i] for i in variables]
-        value = _explicit(residuals[equations[0]], own[0].symbol) if len(equations) == 1 else None
+        values = solved_by_formulas([residuals[i] for i in equations], [item.symbol for item in own])
         names = tuple(model.constraints[i].name for i in equations)
-        blocks.append(EquationBlock(names, tuple(item.name for item in own), value is not None))
-        if value is None:
-            kept += own
-        else:
-            item = own[0]
-            formulas.append(
-                Intermediate(item.name, value, unit=item.unit, description=item.description, span=item.span)
-            )
+        blocks.append(EquationBlock(names, tuple(item.name for item in own), bool(values)))
+        kept += [] if values else own
+        formulas += [
+            Intermediate(item.name, value, unit=item.unit, description=item.description, span=item.span)
+            for item, value in zip(own, values, strict=False)
+        ]
     moved = tuple(
         replace(family, begin=family.begin + len(formulas)) if family.vector == "intermediates" else family
         for family in model.families
@@ -315,15 +314,6 @@ def _with_blocks(model: Model, residuals: Sequence[Expr], found: Sequence[tuple[
         intermediates=(*formulas, *model.intermediates),
         families=moved,
     )
-
-
-def _explicit(residual: Expr, variable: sympy.Symbol) -> Expr | None:
-    """The formula of a variable that stands in a residual with a nonzero number as factor, and nowhere else."""
-    rest = residual.xreplace({variable: sympy.S.Zero})
-    factor = sympy.expand(residual - rest) / variable
-    if factor.free_symbols or not factor.is_number or not factor.is_nonzero:
-        return None
-    return None if rest.has(sympy.nan, sympy.zoo, sympy.oo, -sympy.oo) else -rest / factor
 
 
 def _refuse_together(model: Model, findings: Findings) -> None:

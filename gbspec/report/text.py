@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gbspec.ir import EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
+    from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
     from gbspec.runs import MemberRecord, ProfileRecord, Run
 
 
@@ -55,13 +55,17 @@ def model_summary(model: Model) -> str:
         lines += [f"  {name} {text}" for name, text in kept if text]
     lines += [f"learned {_learnable(learnable)}" for learnable in model.learnables]
     for word, names in (
-        ("conditions", [c.name for c in model.conditions]),
+        ("conditions", [_condition(c) for c in model.conditions]),
         ("inputs", [f"{i.name} ({i.interpolation})" for i in model.inputs]),
         ("measured", _measured(model)),
     ):
         if names:
             lines.append(f"{word} {', '.join(names)}")
     return "\n".join(lines) + "\n"
+
+
+def _condition(condition: Condition) -> str:
+    return f"{condition.name} ({', '.join(condition.categories)})" if condition.categories else condition.name
 
 
 def _size(network: Network) -> str:

@@ -9,6 +9,7 @@ from gbspec.semantics import (
     allow,
     arrays,
     balances,
+    categories,
     columns,
     conversions,
     doubts,
@@ -16,6 +17,7 @@ from gbspec.semantics import (
     graph,
     measured_rates,
     noises,
+    own_values,
     places,
     populations,
     processes,
@@ -51,7 +53,7 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
         The checked model, or None if there is any error.
     """
     local = Findings()
-    read = merge(file, local, load)
+    read = categories.expand(own_values.expand(merge(file, local, load)), local)
     _limited(file, len(read.items))
     settled = conversions.occur(read.items)
     if settled:

@@ -369,8 +369,24 @@ class Units:
             node.span,
             label=f"in `{b}`",
             labels=[Label(at, f"in `{a}`"), *self._origins(unit, wanted)],
-            help=self._remedy(wanted, unit, _excerpt(given.value if given is not None else node)),
+            help=self._inverted(wanted, unit, node)
+            or self._remedy(wanted, unit, _excerpt(given.value if given is not None else node)),
         )
+
+    def _inverted(self, wanted: Unit, unit: Unit, node: ast.Expression) -> str:
+        """The help if a constant that converts units stands the wrong way round: one more factor would hide that."""
+        namespace = self.solution.namespace
+        for part in walk(node):
+            name = part.text if isinstance(part, ast.Name) else ""
+            declared = self.solution.known(self.of(name)) if name in self.table else None
+            if declared is None or self.table[name].kind is not Kind.CONST or declared == ONE:
+                continue
+            for power, word in ((2, "multiply by"), (-2, "divide by")):
+                ratio = self.solution.known(wanted.times(unit.times(declared, Fraction(power)), Fraction(-1)))
+                converts = factor_between(declared, ONE, namespace) is not None
+                if converts and ratio is not None and namespace.is_one(ratio):
+                    return f"`{name}`, which converts units by `{declared}`, is the wrong way round: {word} it"
+        return ""
 
     def _remedy(self, wanted: Unit, unit: Unit, text: str, *, convertible: bool = True) -> str:
         wanted, unit = self.solution.resolved(wanted), self.solution.resolved(unit)

@@ -72,10 +72,10 @@ class _Checks:
             if grouping.spread is None and grouping.column.value not in GROUPS:
                 self.findings.error(
                     "GB421",
-                    f"a value for each `{grouping.column.value}` without a distribution is not offered yet",
+                    f"a value for each `{grouping.column.value}` without a distribution needs its categories",
                     grouping.span,
-                    help=f"write `per {grouping.column.value} ~ lognormal`, or give each a constant of its own, chosen "
-                    "by a condition",
+                    help=f"write `per {grouping.column.value} ~ lognormal`, or declare them, and no other `per`: "
+                    f"`condition {grouping.column.value} in {{a, b}}`",
                 )
             elif first is not None and grouping is not first:
                 self._together(statement, first, grouping)

@@ -80,6 +80,8 @@ class _Rules:
                 | ast.AlgebraicStatement(declarator=declarator, unit=unit)
             ):
                 units.declared[declarator.name.text] = units.read(unit, declarator.name.text)
+            case ast.ConditionStatement(name=name) if statement.categories is not None:
+                units.declared[name.text] = ONE
             case (
                 ast.TimeStatement(name=name, unit=unit)
                 | ast.ConditionStatement(name=name, unit=unit)
@@ -366,12 +368,16 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
         unit = units.solution.resolved(units.of(name))
         if not unit.unknowns:
             continue
-        for other, _ in unit.unknowns:  # reported here; units that depend on it are not reported again
+        place = declaration.span if declaration.span is not None else _first_place(units)
+        assert place is not None
+        # Reported here: taken as a pure number, so that units that depend on it are not reported again.
+        units.solution.equal(unit, ONE, units.solution.origins.get(name, place))
+        for other, _ in unit.unknowns:
             units.solution.solved.setdefault(other, ONE)
         findings.warning(
             "GB550",
             f"`{name}` has no unit, and the rest of the model does not determine it",
-            declaration.span if declaration.span is not None else _first_place(units),
+            place,
             help=_how(name, declaration.kind),
             subject=name,
         )

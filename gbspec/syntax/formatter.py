@@ -31,6 +31,7 @@ _ORDER = (
         "left",
         "contracts",
         "range",
+        "categories",
         "bound",
         "postulates",
         "value",
@@ -39,6 +40,7 @@ _ORDER = (
     ),
     *(
         "with",
+        "then",
         "file",
         "points",
         "method",

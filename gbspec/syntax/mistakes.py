@@ -50,7 +50,7 @@ _KEYWORDS = frozenset(
             "lag",
         ),
         *("when", "every", "until", "after", "queue", "priority", "transient", "sampled", "armed"),
-        *("convex", "concave", "odd", "even", "period", "equals", "steady", "with"),
+        *("convex", "concave", "odd", "even", "period", "equals", "steady", "with", "then"),
         *("by", "zero", "at", "increasing", "decreasing", "if", "and", "or", "not"),
     }
 )

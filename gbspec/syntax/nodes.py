@@ -48,6 +48,11 @@ class Name(Node):
 
 
 @dataclass(frozen=True)
+class Quoted(Name):
+    """A text in quotes beside `==`, or in a list of categories: the name of a category."""
+
+
+@dataclass(frozen=True)
 class Call(Node):
     """`f(a, b)`: a function of the language, a declared function or unknown, `net(X)`, or `sum(c)`."""
 
@@ -179,6 +184,13 @@ class Interval(Node):
 
     low: Expression
     high: Expression
+
+
+@dataclass(frozen=True)
+class Categories(Node):
+    """`in {"wild type", mutant}`: the categories of a condition."""
+
+    names: tuple[Name, ...]
 
 
 @dataclass(frozen=True)

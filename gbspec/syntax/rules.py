@@ -52,6 +52,18 @@ HELD = Rule(
     "constants, learnable constants and conditions",
     "GB377",
 )
+RESUMED = Rule(
+    "a value of `initial steady then`",
+    _FIXED | {Kind.CONDITION, Kind.STATE},
+    "constants, learnable constants, conditions and the states in the steady state",
+    "GB815",
+)
+SOUGHT = Rule(
+    "the condition of `initial steady when`",
+    frozenset({Kind.CONST, Kind.FUNCTION, Kind.LET, Kind.CONDITION}),
+    "numbers, constants and conditions",
+    "GB816",
+)
 DOSING = Rule(
     "the fraction or the lag of a dose",
     _FIXED | {Kind.CONDITION},

@@ -13,8 +13,8 @@ from gbspec.syntax.transformer import Clause
 _TOKEN = re.compile(
     r'(?P<string>"[^"\n]*")'
     r"|(?P<number>(?:[0-9]+(?:\.(?!\.)[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
-    r"|(?P<name>[A-Za-z_\u0080-\U0010ffff][A-Za-z0-9_\u0080-\U0010ffff]*)"
-    r"|(?P<sign>\*\*|->|<=|>=|==|\.\.|[-+*/^<>=:,'()\[\]~])"
+    r"|(?P<name>%|[A-Za-z_\u0080-\U0010ffff][A-Za-z0-9_\u0080-\U0010ffff]*)"
+    r"|(?P<sign>\*\*|->|<=|>=|==|\.\.|[-+*/^<>=:,'()\[\]{}~])"
 )
 _TIGHT = frozenset({"*", "/", "^"})
 _WORDS = frozenset({"and", "or", "not"})
@@ -89,7 +89,7 @@ def _space(found: list[Piece], clauses: Sequence[Clause]) -> None:
     for piece in found:
         kind = clauses[piece.clause].kind if piece.clause is not None else ""
         unary = piece.text in "+-" and not operand
-        if piece.text in (")", "]") and brackets:
+        if piece.text in (")", "]", "}") and brackets:
             brackets.pop()
         piece.depth = len(brackets)
         inner = brackets[-1] if brackets else ""
@@ -99,11 +99,11 @@ def _space(found: list[Piece], clauses: Sequence[Clause]) -> None:
             separate = previous.text == "," or joined or piece.text in ("and", "or")
             piece.breakable = piece.space and separate and kind != "unit"
             piece.space = piece.space or _would_merge(previous, piece)
-        if piece.text in ("(", "["):
+        if piece.text in ("(", "[", "{"):
             brackets.append(_bracket(previous, piece, kind))
         if piece.text == "in" and operand:
             piece.kind = "word"  # what follows is a range or a unit; else it is a name
-        operand = (piece.kind in ("number", "name", "string") and not _is_word(piece, kind)) or piece.text in ")]'"
+        operand = (piece.kind in ("number", "name", "string") and not _is_word(piece, kind)) or piece.text in ")]}'"
         if unary:
             piece.kind = "unary"
         previous = piece
@@ -123,7 +123,7 @@ def _is_word(piece: Piece, kind: str) -> bool:
 def _spaced(previous: Piece, piece: Piece, kind: str, inner: str, unary: bool) -> bool:
     """Whether a space separates two tokens of one clause (or of the head)."""
     before, text = previous.text, piece.text
-    if before in ("(", "[") or text in (")", "]", ",", "'") or previous.kind == "unary":
+    if before in ("(", "[", "{") or text in (")", "]", "}", ",", "'") or previous.kind == "unary":
         return False
     if before == ",":
         return True

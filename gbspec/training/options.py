@@ -84,11 +84,11 @@ class TrainOptions:
         default=None,
         metadata={"help": "Passes over the data for `adam`; iterations for `lbfgs` and `lm`.", "metavar": "N"},
     )
-    quadrature: int = field(
-        default=1,
+    quadrature: int | None = field(
+        default=None,
         metadata={
             "help": "Nodes of adaptive Gauss-Hermite quadrature for each distributed constant of a population; 1 is "
-            "Laplace's method (FOCEI).",
+            "Laplace's method (FOCEI). By default Laplace's, and quadrature for one or two of them where it matters.",
             "metavar": "NODES",
         },
     )
@@ -253,7 +253,7 @@ class TrainOptions:
 
         Options that earlier versions did not have are omitted at their defaults, so that fingerprints stay valid.
         """
-        usual = {"solver": AUTO, "tolerance": None, "quadrature": 1, "start": None}
+        usual = {"solver": AUTO, "tolerance": None, "quadrature": None, "start": None}
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return {name: value for name, value in kept.items() if name not in usual or value != usual[name]}
 

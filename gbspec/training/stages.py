@@ -37,6 +37,7 @@ class StageName(StrEnum):
     FURTHER = "further iterations"
     POOLED = "pooled fit"
     MARGINAL = "marginal likelihood"
+    QUADRATURE = "quadrature"
     LBFGS = "lbfgs"
     INNOVATIONS = "innovations"
     BREEDING = "bred initial states"
@@ -62,6 +63,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.FURTHER: (0, 0, 120),
     StageName.POOLED: (20, 40, 100),
     StageName.MARGINAL: (60, 200, 500),
+    StageName.QUADRATURE: (60, 200, 500),
     StageName.INNOVATIONS: (40, 150, 400),
     StageName.LBFGS: (100, 300, 1500),
     StageName.LEVENBERG_MARQUARDT: (6, 60, 200),

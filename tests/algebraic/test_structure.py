@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
 import torch
+from sympy.core.function import AppliedUndef
 
 from gbspec.backends import Evaluator
 from gbspec.backends.latex import document
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import ComputationError, Findings, Source
 from gbspec.frontend import load_model
-from gbspec.ir import STIFF
+from gbspec.ir import STIFF, symbol
 from gbspec.ir.dumping import dump
 from gbspec.report.text import model_summary
 from gbspec.syntax.formatter import format_text
@@ -122,3 +124,32 @@ def test_stiff_steps_solve_for_algebraic_variables_too() -> None:
     found = member.simulate([0.25], [0.0, 0.05, 0.1, 1.0], max_step=0.002)[:, 0].numpy()
     expected = Evaluator(load_module(model)()).integrate([0.25], [0.0, 0.05, 0.1, 1.0])[:, 0]
     assert found == pytest.approx(expected, rel=1e-5)
+
+
+def test_linear_blocks_are_solved_by_formulas() -> None:
+    model = built(
+        """model linear
+state x in [0, 4] = 1
+learn k = 2 in [1, 3]
+unknown f(x) by mlp(3)
+algebraic y
+algebraic z
+algebraic w
+algebraic v = 0.3
+x' = w - y
+equation one: y*(1 + x) + k*z = 3 + f(x)
+equation two: z - 0.5*y = x
+equation three: k*w = y^2
+equation four: v^3 + v = w
+observe v
+"""
+    )
+    assert [(b.variables, b.explicit) for b in model.blocks] == [(("y", "z"), True), (("w",), True), (("v",), False)]
+    assert [item.name for item in model.algebraics] == ["v"]
+    at = {symbol("x"): 0.7, symbol("k"): 1.9}
+    y, z = (
+        float(item.value.replace(lambda e: isinstance(e, AppliedUndef), lambda e: sympy.Float(0.4)).xreplace(at))
+        for item in model.intermediates[:2]
+    )
+    assert y * 1.7 + 1.9 * z == pytest.approx(3.4)
+    assert z - 0.5 * y == pytest.approx(0.7)

@@ -89,3 +89,26 @@ def test_where_there_is_none_it_says_why(balances: str, reason: str) -> None:
     assert reason in found.value.what
     with pytest.raises(ArithmeticError, match=r"no steady start of `[xy]` in row 0"):
         one.instance.initial([0.0, 0.0])
+
+
+def test_some_start_so_and_states_are_set_then() -> None:
+    """x goes to sqrt(c), with c held at 4; then both are set, from the values before."""
+    text = """condition c
+condition rested
+state x = 0.5
+state y = 3
+x' = c - x^2
+y' = x - y
+initial steady with c = 4 then x = y + c, y = 10*x when rested > 0
+"""
+    one = evaluator_of(text)
+    np.testing.assert_allclose(one.initial(np.zeros(2), [7.0, 1.0]), [9.0, 20.0], rtol=1e-12)
+    np.testing.assert_allclose(one.initial(np.zeros(2), [7.0, 0.0]), [0.5, 3.0], rtol=1e-15)
+    found = one.instance.initial(torch.zeros(3, 2).double(), [[7.0, 1.0], [7.0, 0.0], [1.0, 1.0]])
+    np.testing.assert_allclose(found.numpy(), [[9.0, 20.0], [0.5, 3.0], [3.0, 20.0]], rtol=1e-12)
+
+
+def test_who_does_not_start_so_needs_no_steady_state() -> None:
+    one = evaluator_of("condition c\nstate x = 1\nx' = c - x^2\ninitial steady when c > 0\n")
+    assert one.initial([0.0], [-1.0])[0] == 1.0
+    assert one.instance.initial([[0.0]] * 2, [[-1.0], [4.0]]).ravel().tolist() == pytest.approx([1.0, 2.0])

@@ -63,7 +63,7 @@ def test_golden() -> None:
     assert found == path.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("model", sorted(n for n, path in shipped_models().items() if path.parent.name != "switching"))
+@pytest.mark.parametrize("model", sorted(shipped_models()))
 def test_bundled_models_are_well_formed(model: str) -> None:
     page = document(load_model(shipped_models()[model], Findings()))
     assert page == backends()["latex"].emit(load_model(shipped_models()[model], Findings()))
@@ -80,3 +80,10 @@ def test_bundled_models_are_well_formed(model: str) -> None:
     for line in lines:
         if r"\begin" not in line:  # matplotlib does not support cases
             parser.parse(f"${line.replace('&', '').strip()}$")
+
+
+def test_events_have_their_conditions_and_times() -> None:
+    page = document(load_model(shipped_models()["bouncing_ball"], Findings()))
+    (block,) = re.findall(r"subsection\*\{Events\}\n(.*?)\\end\{align\*\}", page, flags=re.S)
+    assert r"\Rightarrow" in block
+    assert ":=" in block

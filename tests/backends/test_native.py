@@ -100,8 +100,9 @@ def quick(kernels: Path) -> Iterator[None]:
         yield
 
 
-# The stiff ones overflow in explicit steps; tests/training/test_adaptive_steps.py compares their own. Events cut
-# steps, delays look at the solution before, and algebraic equations are solved by a search.
+# The stiff ones overflow in explicit steps; tests/training/test_adaptive_steps.py compares their own, and
+# tests/events/test_kernel.py the switching ones. Delays look at the solution before, and algebraic equations are solved
+# by a search.
 WITHOUT_KERNEL = ("robertson", "switching", "chemistry", "delayed")
 SHIPPED = sorted(name for name, path in shipped_models().items() if path.parent.name not in WITHOUT_KERNEL)
 

@@ -47,7 +47,7 @@ def test_every_bundled_model_can_be_written(name: str) -> None:
         cls = load_module(model)
         instance = (cls.random(0) if cls.networks else cls()) if backend.numbers else None
         refused = model.algebraics or model.delays
-        if (model.events and name in ("latex", "native")) or (refused and name in ("c", "native")):
+        if refused and name in ("c", "native"):
             with pytest.raises(UserError, match="GB808"):
                 backend.emit(model, instance)
             continue

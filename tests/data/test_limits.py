@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec.data import sheet
+from gbspec.data import room, sheet
 from gbspec.data.columns import MOST_SURPLUS
 from gbspec.data.table import read
 from gbspec.diagnostics import Findings, Source, UserError
@@ -45,6 +45,33 @@ def codes(folder: Path, text: str) -> Counter[str]:
 )
 def test_a_table_beyond_a_limit_gets_one_error(text: str, tmp_path: Path) -> None:
     assert codes(tmp_path, text) == {"GB732": 1}
+
+
+def test_a_text_that_would_take_more_memory_than_is_free_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sheet, "SMALL", 10)
+    rows = "t,x\n" + "".join(f"{i},1\n" for i in range(20))
+    monkeypatch.setattr(sheet, "free_memory", lambda: sheet.TIMES * len(rows))
+    assert not codes(tmp_path, rows)
+    monkeypatch.setattr(sheet, "free_memory", lambda: None)
+    assert not codes(tmp_path, rows)
+    monkeypatch.setattr(sheet, "free_memory", lambda: sheet.TIMES * len(rows) - 1)
+    monkeypatch.setattr(sheet, "read_bytes", lambda _: pytest.fail("the rows were read"))
+    assert codes(tmp_path, rows) == {"GB732": 1}
+
+
+def test_free_memory_is_what_the_machine_and_the_group_leave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "MEMORY", tmp_path / "meminfo")
+    monkeypatch.setattr(room, "GROUP", tmp_path)
+    assert room.free_memory() is None
+    (tmp_path / "meminfo").write_text("MemTotal: 90 kB\nMemAvailable:      50 kB\n")
+    assert room.free_memory() == 51200
+    (tmp_path / "memory.current").write_text("4000\n")
+    (tmp_path / "memory.stat").write_text("anon 3500\ninactive_file 500\n")
+    for most, free in (("max\n", 51200), ("5000\n", 1500), ("3000\n", 0)):
+        (tmp_path / "memory.max").write_text(most)
+        assert room.free_memory() == free
 
 
 def test_a_small_parquet_file_of_many_rows_is_refused_by_its_footer(

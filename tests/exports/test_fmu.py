@@ -25,7 +25,7 @@ from gbspec.exports.programs import Programs
 from gbspec.exports.writing import archived
 from gbspec.frontend import load_model
 from gbspec.operations import exporting, models
-from tests.exports.texts import CHOICES, DOSED, SWITCHED, exported, model_of
+from tests.exports.texts import CHOICES, DOSED, HAPPENING, SWITCHED, exported, model_of
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -168,6 +168,49 @@ def test_doses_arrive_at_their_times(kind: str, version: Version, tmp_path: Path
         known = evaluator.integrate_fixed(x0, times, subject.conditions, (), 0.0, max_step=0.01, **given)
     states = np.stack([found[name] for name in outputs], axis=1)[1:]  # at the start: after its dose
     assert np.abs(states - known[1:]).max() <= (1e-7 if kind == "ModelExchange" else 1e-12) * np.abs(known).max()
+
+
+@VERSIONS
+@pytest.mark.parametrize("kind", ["ModelExchange", "CoSimulation"])
+def test_events_happen(kind: str, version: Version, tmp_path: Path) -> None:
+    """Thresholds, resets, what events cause, priorities, timed and armed events, a dose that crosses a threshold."""
+    subject = exported(model_of(HAPPENING))
+    path = unit(subject, version, tmp_path)
+    assert problems(path) == []
+    start = {"dose_S.amount": 1.1, "dose_S.first": 1.55, "dose_S.number": 1.0, "solver.step": 0.002}
+    outputs = ["S", "v", "h", "on", "n"]
+    found = fmpy.simulate_fmu(
+        str(path), fmi_type=kind, output=outputs, start_values=start, stop_time=3.4, output_interval=0.2,
+        solver="CVode", relative_tolerance=1e-11, record_events=False,
+    )  # fmt: skip
+    doses = (DoseEvents(np.array([1.55]), np.array([1.1])),)
+    evaluator = Evaluator(subject.instance)
+    inputs = tuple(Signal(np.zeros(1), np.array([value])) for value in subject.inputs)
+    times = np.unique(found["time"])
+    known = evaluator.integrate(evaluator.initial(subject.states), times, (), inputs, 0.0, doses=doses)
+    states = np.stack([found[name] for name in outputs], axis=1)
+    assert known[-1, 4] > 120, "the events happened"
+    assert np.abs(states[1:] - known[1:]).max() <= 1e-7 * np.abs(known[:, :3]).max()
+
+
+@VERSIONS
+@pytest.mark.parametrize("name", ["bouncing_ball", "overflowing_tanks", "thermostat"])
+def test_bundled_models_with_events(name: str, version: Version, tmp_path: Path) -> None:
+    subject = exported(load_model(shipped_models()[name], Findings()))
+    path = unit(subject, version, tmp_path)
+    assert problems(path) == []
+    outputs = [state.name for state in subject.model.states]
+    evaluator = Evaluator(subject.instance)
+    x0 = evaluator.initial(subject.states, subject.conditions)
+    inputs = tuple(Signal(np.zeros(1), np.array([value])) for value in subject.inputs)
+    for kind in ("ModelExchange", "CoSimulation"):
+        found = fmpy.simulate_fmu(
+            str(path), fmi_type=kind, output=outputs, start_values={"solver.step": 0.01}, stop_time=3.0,
+            output_interval=0.5, solver="CVode", relative_tolerance=1e-11, record_events=False,
+        )  # fmt: skip
+        known = evaluator.integrate(x0, found["time"], subject.conditions, inputs, 0.0)
+        states = np.stack([found[name] for name in outputs], axis=1)
+        assert np.abs(states - known).max() <= 1e-7 * np.abs(known).max(), kind
 
 
 @VERSIONS

@@ -15,7 +15,7 @@ BUNDLED = sorted(
     if path.parent.name not in ("robertson", "switching", "chemistry", "delayed")
 )
 """The names of the bundled models but the stiff ones, where explicit steps multiply rounding errors, and those with
-events or delays, which no export carries out."""
+events, which only units carry out, or delays."""
 EXPLICIT = sorted(name for name, method in METHODS.items() if isinstance(method, Explicit))
 """The methods whose steps can be exported."""
 
@@ -50,6 +50,33 @@ dose central
 depot' = -ka*depot
 central' = ka*depot - loss(central, depot)*(weight/70)^0.75
 observe central
+"""
+
+
+HAPPENING = """model happening
+time t from 0
+input F in [0, 1] = 0.4 held
+const low = 0.5
+state S in [0, 4] = 1
+state v in [-3, 3] = 0
+state h in [0, 3] = 1
+discrete on = 0
+discrete n = 0
+dose S
+S' = F*on - 0.6*S
+v' = -1
+h' = v
+event feed when S <= low: on = 2
+event stop when S >= 1.3 priority 1: on = 0
+event bounce when h <= 0: v = -0.8*v, h = 0
+event count when on > 1: n = n + 1
+event pulse at 0.37 every 0.9 until 2.5: S = S + 0.1*v^2, n = n + 10
+event begin armed when h >= 0.5: n = n + 100
+initial S = 1
+initial v = 0
+initial h = 1
+observe S
+observe h
 """
 
 

@@ -84,18 +84,30 @@ def test_numbers_of_conditions_are_columns(tmp_path: Path) -> None:
     assert gbspec.evaluate(found.model, found.data).nllh == pytest.approx(closed(0.4, 1.5), rel=1e-8)
 
 
+def test_a_condition_may_be_named_by_a_word_of_the_language(tmp_path: Path) -> None:
+    path = problem(tmp_path, conditions="conditionId\tdose\nlow\t0.4\nhigh\t1.5\n")
+    decay = made.sbml(
+        made.parameters("false", y="1", dose="1"), made.rules(y=made.apply("minus", made.apply("times", "dose", "y")))
+    )
+    made.stored(tmp_path, decay)
+    found = import_file(path, tmp_path / "out")
+    assert 'condition dose_ as "dose"' in Path(found.model).read_text()
+    assert found.data is not None
+    assert gbspec.evaluate(found.model, found.data).nllh == pytest.approx(closed(0.4, 1.5), rel=1e-8)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
         (
             "measurements",
-            "observableId\tsimulationConditionId\ttime\tmeasurement\tpreequilibrationConditionId\no\tlow\t1\t0.7\thigh\n",
-            "pre-equilibration is not offered yet",
+            "observableId\tsimulationConditionId\ttime\tmeasurement\tpreequilibrationConditionId\no\tlow\tinf\t0.7\thigh\n",
+            "that follows another steady state is not offered yet",
         ),
         (
             "measurements",
-            "observableId\tsimulationConditionId\ttime\tmeasurement\no\tlow\tinf\t0.7\n",
-            "steady state is not offered yet",
+            "observableId\tsimulationConditionId\ttime\tmeasurement\no\tlow\tsoon\t0.7\n",
+            "its time is no number",
         ),
         (
             "observables",
@@ -126,9 +138,55 @@ def test_a_noise_may_depend_on_the_prediction(tmp_path: Path) -> None:
     assert [one.sd for one in values] == pytest.approx([0.1 + 0.6 * one.value for one in values])
 
 
-@pytest.mark.parametrize("case", ["0002", "0006", "0008", "0011", "0015", "0016", "0020"])
+def resting(folder: Path, conditions: str, measurements: str) -> Path:
+    """y' = k - y from 1, observed with the noise 1."""
+    growth = made.sbml(made.parameters("false", y="1", k="1"), made.rules(y=made.apply("minus", "k", "y")))
+    observables = "observableId\tobservableFormula\tnoiseFormula\no\ty\t1\n"
+    path = problem(folder, conditions=conditions, measurements=measurements, observables=observables)
+    made.stored(folder, growth)
+    return path
+
+
+MEASURED = "observableId\tpreequilibrationConditionId\tsimulationConditionId\ttime\tmeasurement\n"
+
+
+def test_some_trajectories_begin_in_the_steady_state_of_another_condition(tmp_path: Path) -> None:
+    """From the steady state of `low`, from the start, from the steady state with y set to 7, and at rest."""
+    path = resting(
+        tmp_path,
+        "conditionId\tk\ty\nlow\t3\t\nhigh\t5\t\nset\t5\t7\n",
+        MEASURED + "o\tlow\thigh\t1\t0\no\t\thigh\t1\t0\no\tlow\tset\t1\t0\no\t\thigh\tinf\t0\n",
+    )
+    found = import_file(path, tmp_path / "out")
+    assert "initial steady with k = k_before then y = " in Path(found.model).read_text()
+    assert found.data is not None
+    e = math.exp(-1)
+    values = sorted(one.value for one in gbspec.evaluate(found.model, found.data).found.simulation)
+    assert values == pytest.approx(sorted([5 - 2 * e, 5 - 4 * e, 5 + 2 * e, 5.0]), rel=1e-7)
+
+
+def test_formulas_before_a_steady_state_and_after_it(tmp_path: Path) -> None:
+    """Conditions with parameters are told apart by their number, before and after."""
+    path = resting(
+        tmp_path,
+        "conditionId\tk\ty\nlow\tslow\t2\nhigh\tfast\tfast*slow\n",
+        MEASURED + "o\tlow\thigh\t1\t0\no\thigh\tlow\t1\t0\n",
+    )
+    found = import_file(path, tmp_path / "out")
+    text = Path(found.model).read_text()
+    assert "initial steady with experiment = experiment_before then y = if(experiment == 0, 2, fast*slow)" in text
+    assert found.data is not None
+    e = math.exp(-1)
+    values = [one.value for one in gbspec.evaluate(found.model, found.data).found.simulation]
+    expected = [1.5 + (0.4 * 1.5 - 1.5) * e, 0.4 + (2 - 0.4) * e]
+    assert sorted(values) == pytest.approx(sorted(expected), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "case", ["0002", "0006", "0008", "0009", "0010", "0011", "0015", "0016", "0017", "0018", "0020"]
+)
 def test_cases_of_the_suite(case: str) -> None:
-    """Conditions, parameters of observables, replicates, starts by condition, learned noise, logarithms."""
+    """Conditions, parameters of observables, replicates, starts by condition, steady states, noise, logarithms."""
     from benchmarks.studies.petab import judged
 
     assert judged(suite("petab") / "v1" / case).end == "passed"

@@ -121,6 +121,13 @@ def test_a_unit_of_several_outputs_is_that_of_each() -> None:
     assert [unknown.unit for unknown in model.unknowns] == ["g/h", "g/h"]
 
 
+@pytest.mark.parametrize("noise", ["normal(s)", "student(s, 5)", "student(0.1, 5)"])
+def test_beside_a_noise_that_needs_the_likelihood_every_channel_gets_one(noise: str) -> None:
+    model = model_of(f"model m\nstate x\nlearn s = 1 > 0\nx' = -x*s\nobserve x\nobserve y = x noise {noise}\n")
+    assert model.marginal and all(channel.noise is not None for channel in model.channels)
+    assert [one.name for one in model.implied] == ["noise_x"]
+
+
 def test_the_spread_of_a_population_starts_in_proportion_to_what_varies() -> None:
     model = model_of(
         "model m\ntime t : h\nstate x : g\nlearn k : 1/h = 4 in [0.1, 50] per trajectory ~ normal\n"

@@ -194,13 +194,23 @@ def test_what_a_base_declares_is_renamed_in_all_files_that_extend_it(tmp_path: P
         rename(workspace, tmp_path / "base.gb", (tmp_path / "base.gb").read_text().index("k ="), "extra")
 
 
+@pytest.mark.parametrize("word", ["ocv(soc : 1)", "soc : 1) : V from"])
+def test_the_names_of_a_file_of_points_stay(word: str) -> None:
+    """They are those of its columns."""
+    path = shipped_models()["cell"]
+    workspace = Workspace(roots=(path.parent,))
+    with pytest.raises(Refused, match=r"column in the file of the table `ocv`"):
+        rename(workspace, path, path.read_text().index(word), "other")
+
+
 @settings(deadline=None, max_examples=25)
 @given(st.data())
 def test_renaming_in_a_bundled_model_keeps_the_model(data: st.DataObject) -> None:
     path = data.draw(st.sampled_from(sorted(p for p in shipped_models().values() if "extends" not in p.read_text())))
     workspace = Workspace(roots=(path.parent,))
     found = [o for o in workspace.occurrences(path) if o.symbol.space in ("name", "argument") and not o.implied]
-    chosen = data.draw(st.sampled_from(found))
+    columns = {o.symbol for o in found if o.declares and getattr(o.statement, "file", None) is not None}
+    chosen = data.draw(st.sampled_from([o for o in found if o.symbol not in columns]))
     new = data.draw(st.sampled_from(["renamed_1", "µ_x", "Ω"]))
     made = rename(workspace, path, chosen.span.start, new)
     trial = workspace.with_texts({p: replaced(spans, made.name) for p, spans in made.places.items()})

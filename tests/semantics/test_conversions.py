@@ -120,3 +120,24 @@ def test_in_before_a_bracket_is_a_range_and_a_name_may_be_called_in() -> None:
     )
     assert model.states[0].range is not None and model.states[0].range.high == 2
     assert float(model.constants[0].value) == pytest.approx(1 / 30)
+
+
+def test_percent_may_be_written_as_its_sign() -> None:
+    text = """model m
+time t : s
+state soc : % in [0, 100] = 50
+const k : %/s = 10
+const half : 1 = 50 in %
+soc' = -k*half
+observe soc noise normal(0.02 in 1)
+"""
+    for made in (model_of(text), model_of(text.replace("%", "percent"))):
+        assert str(made.states[0].unit) == "percent"
+        assert float(next(c.value for c in made.constants if c.name == "half")) == 0.5
+        assert str(made.channels[0].noise) == str(model_of(text.replace("0.02 in 1", "2")).channels[0].noise)
+
+
+def test_the_number_of_a_noise_may_be_given_in_a_unit() -> None:
+    text = "model m\ntime t : s\nstate x : m = 1\nx' = -x*(1 in 1/s)\nobserve x noise normal({})\n"
+    for given in ("3 in cm", "(3 in cm)"):
+        assert model_of(text.format(given)).channels[0].noise == model_of(text.format("0.03")).channels[0].noise

@@ -140,6 +140,13 @@ def test_what_is_undetermined_is_reported_once() -> None:
     assert codes(text.replace("model m\n", "model m\ntime t : h\n")) == []
 
 
+@pytest.mark.parametrize("name", ["k", "z"])  # solved before the state, and after it
+def test_a_name_is_not_both_undetermined_and_in_mixed_units(name: str) -> None:
+    text = "model m\ntime t : s\nstate soc in [0, 1] = 0.5\ninput I : A held\nconst Q : A*h = 2\n"
+    _, findings = checked(f"{text}learn {name} = 1 in [0, 2]\nsoc' = -{name}*I/Q\nobserve soc\n")
+    assert [(d.code, d.subject) for d in findings] == [("GB550", "soc"), ("GB551", name)]
+
+
 def test_user_units_have_a_separate_namespace() -> None:
     text = "model m\ntime h : s\nunit h\nstate g : h\nconst s : h/s = 1\ng' = -s\nobserve g\n"
     assert codes(text) == []
@@ -175,6 +182,17 @@ def test_factor_in_the_help() -> None:
     )
     (finding,) = findings
     assert finding.help == "convert it: `(k*m in mg/h)`, a factor of 1000"
+
+
+@pytest.mark.parametrize(
+    ("per", "rate", "word"),
+    [("J/min/W = 60", "P/per/C", "multiply by"), ("W*min/J = 1/60", "P*per/C", "divide by")],
+)
+def test_a_conversion_the_wrong_way_round_is_not_answered_with_another(per: str, rate: str, word: str) -> None:
+    text = f"model m\ntime t : min\ncondition P : W\nconst per : {per}\nconst C : J/K = 10\nstate T : K = 300\n"
+    _, findings = checked(f"{text}T' = {rate}\nobserve T\n")
+    (found,) = findings
+    assert found.code == "GB504" and found.help.endswith(f"is the wrong way round: {word} it")
 
 
 def test_numbers_in_units() -> None:

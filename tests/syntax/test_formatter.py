@@ -73,6 +73,8 @@ def test_meaning_and_comments_stay_and_a_second_time_changes_nothing(text: str) 
         ("let a = b#why", "let a = b  #why"),
         ("truth phi ( x ) = x", "truth phi(x) = x"),
         ("const L:H=3.2 in  mH", "const L : H = 3.2 in mH"),
+        ("const k:%/s^2=1 in(%)", "const k : %/s^2 = 1 in (%)"),
+        ("observe y:% noise normal(3 in%)", "observe y : % noise normal(3 in %)"),
         ("const L = 3.2 in(J /K) : H", "const L : H = 3.2 in (J/K)"),
         ("let P : W = (u*i in 1 / h)*in", "let P : W = (u*i in 1/h)*in"),
         ("learn k = 2 in 1/d in[0,1] : 1/h", "learn k : 1/h = 2 in 1/d in [0, 1]"),

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gbspec.analysis import Individuals, simulate
-from gbspec.data import SimulateOptions, Trajectories
+from gbspec.data import SimulateOptions, Trajectories, Trajectory
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import Model
 from gbspec.operations import models, tables
@@ -47,6 +46,28 @@ def exact(values: np.ndarray, between_strains: float, between: float, noise: flo
     off = values.reshape(STRAINS, n) - 5
     squares = np.einsum("si,ij,sj->", off, np.linalg.inv(covariance), off)
     return float(off.size * np.log(2 * np.pi) + STRAINS * np.linalg.slogdet(covariance)[1] + squares)
+
+
+@pytest.mark.parametrize("long", [False, True], ids=["wide", "long"])
+def test_groups_may_have_names(tmp_path: Path, long: bool) -> None:
+    """They only tell trajectories apart, and are the same number in every table."""
+    model, numbered, _ = strains(tmp_path, ALONE)
+    names = ["K-12", "wild type", "3b", "x", "é", "last"]
+    head, *rows = (tmp_path / "data.csv").read_text().splitlines()
+    cells = [(*row.split(",")[:3], names[int(row.split(",")[3]) - 1]) for row in rows]
+    if long:
+        head = "trajectory,t,name,value"
+        rows = [f"{a},{t},x,{x}\n{a},{t},strain,{word}" for a, t, x, word in cells]
+    else:
+        rows = [",".join(cell) for cell in cells]
+    (tmp_path / "named.csv").write_text("\n".join([head, *rows]) + "\n")
+    named = tables.read_data(tmp_path / "named.csv", model, Findings())
+    pairs = {(one.condition[0], other.condition[0]) for one, other in zip(numbered.items, named.items, strict=True)}
+    assert len(pairs) == STRAINS == len({word for _, word in pairs})
+    part = [head, *(row for row in rows if "last" in row or row.startswith("23,"))]
+    (tmp_path / "part.csv").write_text("\n".join(part) + "\n")
+    last = tables.read_data(tmp_path / "part.csv", model, Findings())
+    assert {one.condition[0] for one in last.items} == {named.items[-1].condition[0]}
 
 
 @pytest.mark.parametrize(("text", "spreads"), [(NESTED, (0.8, 1.0)), (ALONE, (1.0, 0.0))], ids=["nested", "alone"])
@@ -119,8 +140,28 @@ def test_what_is_not_offered_for_groups_is_said(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         train(model, data, options, tmp_path / "run")
     assert [found.code for found in caught.value.diagnostics] == ["GB787"]
-    known = model_of(NESTED, tmp_path)
-    individuals = Individuals.of_model(known, known.constant_names)
-    with pytest.raises(UserError) as caught:
-        simulate(models.reference(known).evaluator, known, SimulateOptions(), None, None, individuals)
-    assert "GB786" in [found.code for found in caught.value.diagnostics]
+
+
+def test_trajectories_of_a_group_share_its_deviation(tmp_path: Path) -> None:
+    """Strains differ by the standard deviation 2, their trajectories by 0.1, with the same strains in every table."""
+    text = NESTED.replace("learn w = 0.8", "learn w = 2").replace("learn s = 1", "learn s = 0.1")
+    model = model_of(text.replace("learn e = 0.5 > 0", "const e = 0.001"), tmp_path)
+    subject = models.reference(model)
+    options = SimulateOptions(trajectories=400, span=2.0, dt=1.0, condition={"strain": (1, 40)}, initial={})
+    drawn = tables.simulate(subject, options)
+    strain, level = (np.array([f(item) for item in drawn.items]) for f in (strain_of, level_of))
+    assert set(strain) <= set(np.arange(1.0, 41.0))
+    means = {which: level[strain == which].mean() for which in set(strain)}
+    inside = level - np.array([means[which] for which in strain])
+    assert np.std(inside) == pytest.approx(0.1, rel=0.15)
+    assert np.std(list(means.values())) == pytest.approx(2.0, rel=0.35)
+    again = tables.simulate(subject, SimulateOptions(trajectories=3, span=2.0, dt=1.0, condition={"strain": (7, 7)}))
+    assert level_of(again.items[0]) == pytest.approx(means[7.0], abs=0.4)
+
+
+def strain_of(item: Trajectory) -> float:
+    return float(item.condition[0])
+
+
+def level_of(item: Trajectory) -> float:
+    return float(np.mean(item.values))

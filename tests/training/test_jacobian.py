@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from gbspec.training.engines.columns import starts_of_data
 from gbspec.training.problem.forcing import Forcing
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
 from tests.training.reference import linearise, measured_residuals, solve, unroll, whole_jacobian
@@ -69,3 +70,16 @@ def test_a_blow_up_is_told_by_its_residuals() -> None:
     found = linearise(problem, parameters, theta)
     assert not bool(torch.isfinite(found.residuals).all())
     assert found.shared.numel() == 0
+
+
+@pytest.mark.parametrize(("start", "known"), [("2*dose", True), ("2*s", False)])
+def test_starts_that_no_learned_constant_moves_need_no_graph(start: str, known: bool) -> None:
+    model = model_of(f"""model starts
+condition dose = 1
+state A
+learn s = 1 in [0.1, 10]
+A' = -s*A
+initial A = {start}
+observe A
+""")
+    assert all(starts_of_data(model)) is known

@@ -217,6 +217,23 @@ def test_the_sweeps_and_the_torch_graph_agree(tmp_path: Path) -> None:
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-9)
 
 
+def test_the_lowest_of_several_minima_is_found(tmp_path: Path) -> None:
+    """Further starts are looked at for few iterations only, and still lead to what full searches from them find."""
+    model, data = decays(tmp_path, NETWORK)
+    made, u, weights = marginal_of(model, data)
+    steep = 6 * np.random.default_rng(11).standard_normal(len(weights))
+    likelihood, natural = made.likelihood, made.layout.natural(made.rows(u))
+    first = torch.full((len(data), 1), 2.5, dtype=torch.float64)
+    alone = [
+        likelihood.joint(of, z)
+        for z, of in (likelihood.modes(natural, s * first, steep) for s in (1.0, 0.0, 0.6, -0.6))
+    ]
+    found, of = likelihood.lowest(natural, first, steep)
+    best = torch.stack(alone).amin(0)
+    assert float((alone[0] - best).max()) > 0.1, "there are several minima"
+    assert float((likelihood.joint(of, found) - best).abs().max()) < 1e-6
+
+
 def test_the_information_of_spreads_is_that_of_a_normal_distribution() -> None:
     """Two trajectories with two deviations; every parameter moves one entry of the factor, or the noise."""
     rng = np.random.default_rng(1)
@@ -294,7 +311,7 @@ def test_unseen_trajectories_are_drawn_and_start_from_the_median(tmp_path: Path)
     subject = models.learned(models.open_run(tmp_path / "run"))
     assert subject.individuals is not None
     random = np.random.default_rng(0)
-    drawn = [subject.individuals.drawn(subject.evaluator, random).constants[0] for _ in range(400)]
+    drawn = [subject.individuals.drawn(subject.evaluator, random, {}).constants[0] for _ in range(400)]
     assert np.mean(drawn) == pytest.approx(subject.evaluator.constants[0], abs=0.3)
     assert np.std(drawn) == pytest.approx(subject.individuals.factor[0, 0], rel=0.15)
 
@@ -341,6 +358,21 @@ def test_nodes_without_a_solution_leave_the_quadrature_and_its_gradient_finite(t
     assert np.isfinite(made.slopes(u, weights, found.z).parameters).all()
 
 
+def test_a_trajectory_without_a_solution_takes_no_derivatives_from_the_others(tmp_path: Path) -> None:
+    """Else the inner problems of all of them stop where they are, and the likelihood is not finite."""
+    model, data = decays(tmp_path)
+    made, u, weights = marginal_of(model, data)
+    individuals, natural = made.predictions.individuals, made.layout.natural(made.rows(u))
+    constants = made.layout.constants(natural, torch.zeros((len(data), 2), dtype=torch.float64))[0].numpy()
+    good = individuals.first(constants, weights)
+    astray = constants.copy()
+    astray[0, 0] = 1e80
+    found, lost = individuals.first(astray, weights), made.predictions.measured.owner == 0
+    assert np.isnan(found.mean[lost]).any()
+    assert np.isnan(found.constants[lost]).all()
+    np.testing.assert_allclose(found.constants[~lost], good.constants[~lost], rtol=1e-12)
+
+
 def test_a_fit_by_quadrature_ends_at_its_maximum(tmp_path: Path) -> None:
     model, data = decays(tmp_path, count=12)
     options = TrainOptions(backend="torch", max_step=0.5, effort="low", quadrature=3)
@@ -359,6 +391,33 @@ def test_a_fit_by_quadrature_ends_at_its_maximum(tmp_path: Path) -> None:
     value = made.value(at, weights, np.zeros((12, 2)))
     assert value.total == pytest.approx(found.minus2ll, abs=1e-6)
     assert np.abs(made.slopes(at, weights, value.z).parameters.sum(axis=0)).max() < 0.05
+
+
+FEW = """model few
+time t from 0
+state x
+learn k = 0.5 in [0.001, 50] per trajectory ~ lognormal
+x' = -k*x
+initial x = 1
+observe x noise normal(0.15)
+"""
+
+
+@pytest.mark.parametrize(("times", "noise", "nodes"), [((1.0, 3.0), 0.15, 9), ((0.5, 1.0, 2.0, 3.0), 0.01, 1)])
+def test_quadrature_follows_where_it_moves_a_parameter(
+    tmp_path: Path, times: tuple[float, ...], noise: float, nodes: int
+) -> None:
+    """Two noisy values a subject, whose distributions are far from normal; four accurate ones, whose are not."""
+    random = np.random.default_rng(0)
+    rates = 0.5 * np.exp(random.standard_normal((8, 1)))
+    values = np.exp(-rates * np.array(times)) + noise * random.standard_normal((8, len(times)))
+    model = model_of(FEW.replace("0.15", str(noise)), tmp_path)
+    data = tables.read_data(table(tmp_path, values, np.array(times)), model, Findings())
+    run = train(model, data, TrainOptions(backend="torch", max_step=1.0, members=1), tmp_path / "run")
+    found, stages = run.fit.population, [stage.name for stage in run.fit.members[0].stages]
+    assert found is not None
+    assert found.nodes == nodes
+    assert ("quadrature" in stages) == (nodes > 1)
 
 
 @pytest.mark.parametrize("ridge", [1e-6, 0.3, 1e4])

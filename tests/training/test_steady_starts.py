@@ -64,6 +64,20 @@ initial b = 2*k
 observe a
 observe b
 """
+SOME = """
+model some
+input L held = 1
+condition I in [0.5, 2]
+state R = 1
+state C = 0.1
+learn kon = 1.1 in [0.1, 10]
+learn koff = 0.5 in [0.05, 5]
+R' = -kon*L*R + koff*C
+C' = kon*L*R - koff*C
+initial steady with L = 0.3*I, I = 2*I then R = R + kon*I, C = 2*R*koff when I > 0.7
+observe C
+observe R
+"""
 
 
 def model_of(text: str) -> Model:
@@ -95,7 +109,7 @@ def differences(function: Callable[[Array], Array], theta: Array, direction: Arr
     return total / (12 * h)
 
 
-@pytest.mark.parametrize("text", [BINDING, NETWORK, PARTIAL])
+@pytest.mark.parametrize("text", [BINDING, NETWORK, PARTIAL, SOME])
 def test_derivatives_are_exact(text: str) -> None:
     model = model_of(text)
     problem, parameters, theta = problem_of(model, rows(model), 0.1)
@@ -112,7 +126,7 @@ def test_derivatives_are_exact(text: str) -> None:
     np.testing.assert_allclose(dense @ direction, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("text", [BINDING, NETWORK])
+@pytest.mark.parametrize("text", [BINDING, NETWORK, SOME])
 def test_the_kernel_gives_the_same(text: str) -> None:
     model = model_of(text)
     problem, parameters, theta = problem_of(model, rows(model), 0.1)

@@ -33,9 +33,9 @@ def relative_rhs_error(module: object, data: Trajectories) -> float:
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fitted(tmp_path_factory: pytest.TempPathFactory, kernels: Path) -> Path:
     path = tmp_path_factory.mktemp("fit") / "run"
-    with quick.warm_start(250):
+    with quick.warm_start(250), quick.fits(kernels):
         train(model_of(URP), urp_data(16, 5.0, 2), TrainOptions(effort="low"), path)
     return path
 

@@ -32,7 +32,7 @@ initial H = 0
 observe S{0}
 observe H{1}
 """
-LEARNED = REACTION.replace("learn k = 0.5 in [0.05, 5]", "unknown r(S) >= 0").replace("k*S", "r(S)")
+LEARNED = REACTION.replace("learn k = 0.5 in [0.05, 5]", "unknown r(S) >= 0 by mlp(8, 8)").replace("k*S", "r(S)")
 K, H, L = 0.8, 5.0, 1.5
 DEVIATION = np.array([0.6, 1.2])
 

@@ -13,7 +13,7 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.data import Box, DoseEvents, Signal, SimulateOptions, Trajectory, clipped, lasting, regimen, similar
 from gbspec.diagnostics import Findings
-from gbspec.ir import Model, Range
+from gbspec.ir import Model, Range, whole
 
 SHAPE = 4.0
 """Shape of the gamma distribution of intervals (standard deviation: half the mean)."""
@@ -152,7 +152,7 @@ def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random:
         random_signal(item.interpolation, ends, start, end, random)
         for item, ends in zip(model.inputs, box.inputs, strict=True)
     )
-    x0, condition = draw(box.states, random), draw(box.conditions, random)
+    x0, condition = draw(box.states, random), whole(model.conditions, draw(box.conditions, random))
     doses = tuple(drawn_doses(options.dose.get(dose.state), start, end, random) for dose in model.doses)
     first = min([float(times[0]), *(events.times[0] for events in doses if len(events.times))])
     doses, inputs = lasting(model, condition, doses, inputs, options.dose, (start, end))
@@ -183,7 +183,7 @@ def plan_like(
     if not mask.any():
         mask = np.ones_like(mask)
     chosen = np.array([condition.name in options.condition for condition in model.conditions], dtype=bool)
-    condition = np.where(chosen, draw(box.conditions, random), item.condition)
+    condition = np.where(chosen, whole(model.conditions, draw(box.conditions, random)), item.condition)
     used = mask.any(axis=1)
     doses = tuple(
         drawn_doses(options.dose[dose.state], item.start, item.end, random) if dose.state in options.dose else events

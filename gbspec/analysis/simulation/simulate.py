@@ -125,10 +125,6 @@ def simulate(
     options.check(findings)
     if not model.channels:
         findings.error("GB756", f"the model `{model.name}` observes nothing", None, help="add `observe …` to it")
-    if individuals is not None and individuals.grouped:
-        message = f"constants of `{model.name}` differ between groups of trajectories, which are not simulated yet"
-        help = "leave the groups out of a copy of the model, and simulate that"
-        findings.error("GB786", message, None, help=help)
     box = boxes(model, options, findings, given=like is not None)
     reject = regions(options.reject, model, findings)
     findings.raise_if_failed()
@@ -169,12 +165,13 @@ class _Draws:
         own, solver = Tally(), self.evaluator
         drawing = np.random.default_rng([self.options.seed, index, 3])
         for _ in range(ATTEMPTS):
-            if self.individuals is not None:
-                solver = self.individuals.drawn(self.evaluator, drawing)
             drawn = self.plan(index, random)
             if drawn is None:
                 own.reject("fewer than two measurement times were in the span")
                 continue
+            if self.individuals is not None:
+                values = dict(zip((c.name for c in self.model.conditions), drawn.condition.tolist(), strict=True))
+                solver = self.individuals.drawn(self.evaluator, drawing, values, self.options.seed)
             try:
                 shaking = np.random.default_rng([self.options.seed, index, 2])
                 solved = solve(solver, self.model, drawn, self.reject, shaking)

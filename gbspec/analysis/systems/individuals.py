@@ -24,6 +24,16 @@ Solver = TypeVar("Solver", bound=Constant)
 
 
 @dataclass(frozen=True)
+class Shared:
+    """A deviation that all trajectories with the same value in a column share: of which constant, its column and its
+    standard deviation."""
+
+    place: int
+    column: str
+    sd: float
+
+
+@dataclass(frozen=True)
 class Individuals:
     """The distributed constants: their places among all constants, how each is distributed, and the factor B [q, q] of
     the covariance B B^T of their deviations."""
@@ -31,11 +41,9 @@ class Individuals:
     learnables: tuple[Learnable, ...]
     place: tuple[int, ...]
     factor: Array
-
-    @property
-    def grouped(self) -> bool:
-        """Whether groups of trajectories share a part of the deviations; the factor has it as if it were their own."""
-        return any(k.distribution is not None and k.distribution.levels for k in self.learnables)
+    own: Array
+    """The factor [q, q] of the deviations that trajectories do not share; without groups it is `factor`."""
+    shared: tuple[Shared, ...] = ()
 
     @classmethod
     def of_model(cls, model: Model, names: Sequence[str]) -> Individuals | None:
@@ -43,8 +51,16 @@ class Individuals:
         known = {k.name: k.start for k in (*model.learnables, *model.implied)}
         known |= {t.name: t.value for t in model.truth_constants}
         made = [k.distribution for k in model.distributed if k.distribution is not None]
+        if not made:
+            return None
         each = [[fixed if name is None else known[name] for name, fixed in m.spreads] for m in made]
-        return cls._at(model, names, np.diag([float(np.linalg.norm(one)) for one in each])) if made else None
+        shared = tuple(
+            Shared(k, level.column, sd)
+            for k, (one, sds) in enumerate(zip(made, each, strict=True))
+            for level, sd in zip(one.levels, sds[1:], strict=True)
+        )
+        factor, own = np.diag([float(np.linalg.norm(one)) for one in each]), np.diag([float(one[0]) for one in each])
+        return cls._at(model, names, factor, own, shared)
 
     @classmethod
     def of_member(cls, member: GeneratedModule, model: Model) -> Individuals | None:
@@ -54,18 +70,28 @@ class Individuals:
             return None
         names = [k.name for k in model.distributed]
         factor = np.array(found.get("factor"), dtype=np.float64)
-        if found.get("names") != names or factor.shape != (len(names),) * 2:
+        own = np.array(found.get("own", found.get("factor")), dtype=np.float64)
+        if found.get("names") != names or factor.shape != (len(names),) * 2 or own.shape != factor.shape:
             return None
-        return cls._at(model, member.constants, factor)
+        shared = tuple(Shared(int(k), str(column), float(sd)) for k, column, sd in found.get("groups", ()))
+        return cls._at(model, member.constants, factor, own, shared)
 
     @classmethod
-    def _at(cls, model: Model, names: Sequence[str], factor: Array) -> Individuals:
+    def _at(
+        cls, model: Model, names: Sequence[str], factor: Array, own: Array, shared: tuple[Shared, ...]
+    ) -> Individuals:
         places = tuple(list(names).index(k.name) for k in model.distributed)
-        return cls(model.distributed, places, factor)
+        return cls(model.distributed, places, factor, own, shared)
 
     def constants(self, typical: Array, z: Array) -> Array:
-        """The constants of a trajectory with the standard normal numbers z [q]; `typical` has the medians."""
-        out, deviation = np.array(typical, dtype=np.float64), self.factor @ z
+        """The constants of a trajectory with the standard normal numbers z [q]; `typical` has the medians.
+
+        Deviations of its groups are part of z, as of a trajectory whose groups are not known.
+        """
+        return self._with(typical, self.factor @ z)
+
+    def _with(self, typical: Array, deviation: Array) -> Array:
+        out = np.array(typical, dtype=np.float64)
         for learnable, place, eta in zip(self.learnables, self.place, deviation, strict=True):
             kind, median = learnable.distribution.kind if learnable.distribution else "normal", out[place]
             if kind == "lognormal":
@@ -78,8 +104,16 @@ class Individuals:
                 out[place] = median + eta
         return out
 
-    def drawn(self, solver: Solver, random: np.random.Generator) -> Solver:
-        """A solver with the constants of a trajectory drawn at random in place of the medians."""
+    def drawn(self, solver: Solver, random: np.random.Generator, values: Mapping[str, float], seed: int = 0) -> Solver:
+        """A solver with the constants of a trajectory drawn at random in place of the medians.
+
+        `values` are those of its conditions: trajectories with the same value of a group's column share its deviation,
+        which follows from `seed` and this value.
+        """
+        deviation = self.own @ random.standard_normal(len(self.place))
+        for number, one in enumerate(self.shared):
+            value = np.float64(values[one.column]).view(np.uint64)
+            deviation[one.place] += one.sd * np.random.default_rng([seed, 4, number, int(value)]).standard_normal()
         own = copy(solver)
-        own.constants = self.constants(solver.constants, random.standard_normal(len(self.place)))
+        own.constants = self._with(solver.constants, deviation)
         return own

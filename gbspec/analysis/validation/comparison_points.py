@@ -19,6 +19,7 @@ from gbspec.analysis.simulation import Boxes, Plan, Region, boxes, plan, regions
 from gbspec.analysis.systems import quasirandom_points, trained_ranges
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError, Findings
+from gbspec.ir import whole
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
@@ -184,9 +185,9 @@ class Sampler:
         """Sets of conditions [N, c]: evenly spaced for one condition, quasirandom for several."""
         box, count = self.box.conditions, self.options.conditions
         if len(box) == 1:
-            return np.linspace(box[0, 0], box[0, 1], count)[:, None]
+            return whole(self.model.conditions, np.linspace(box[0, 0], box[0, 1], count)[:, None])
         points = quasirandom_points(count, len(box), self.options.seed)
-        return np.asarray(box[:, 0] + (box[:, 1] - box[:, 0]) * points) if len(box) else points
+        return whole(self.model.conditions, box[:, 0] + (box[:, 1] - box[:, 0]) * points) if len(box) else points
 
 
 def solve_ends(

@@ -53,7 +53,10 @@ def steady_start(
     """
     equations, m = instance.equations, instance.arithmetic("numpy")
     free = list(equations.steady_states)
-    condition, inputs, rows = equations.steady(m, condition, inputs, tuple(constants))
+    own = condition
+    condition, inputs, rows, chosen = equations.steady(m, condition, inputs, tuple(constants))
+    if not chosen > 0:
+        return start
     laws = np.array([[float(c) for c in row] for row in rows]).reshape(1, -1, len(free))
 
     def whole(z: Array) -> Array:
@@ -76,4 +79,6 @@ def steady_start(
             where="the search for the steady state, from the declared starts",
             remedy="give a start nearer to the steady state (`state X = …`), or a start in place of `initial steady`",
         )
-    return whole(found)
+    if not hasattr(equations, "resumed"):
+        return whole(found)
+    return np.array(equations.resumed(m, whole(found), own, tuple(constants)), dtype=np.float64)

@@ -9,7 +9,7 @@ import unicodedata
 import sympy
 from sympy.printing.latex import LatexPrinter
 
-from gbspec.ir import NN, Expr, Lookup, Model, Unknown, named
+from gbspec.ir import NN, Expr, Lookup, Model, Timing, Unknown, named
 
 GREEK = frozenset(
     (
@@ -118,6 +118,24 @@ def intermediates(model: Model) -> list[tuple[str, str]]:
 def observations(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each channel that is not simply a state."""
     return [(expression(left), expression(model.timed(value))) for left, value in model.equations("channels")]
+
+
+def events(model: Model) -> list[tuple[str, str]]:
+    """What each event sets, and its condition or times."""
+    found = []
+    for event in model.events:
+        when = expression(event.condition) if event.timing is None else _times(model, event.timing)
+        values = r", \ ".join(f"{name(state)} := {expression(value)}" for state, value in event.values)
+        found.append((rf"{name(event.name)}: \quad {when}", rf"\Rightarrow {values}"))
+    return found
+
+
+def _times(model: Model, timing: Timing) -> str:
+    """The times of an event: its first one, then every so often, up to the last."""
+    text = f"{name(model.time.name)} = " + (r"\text{start}" if timing.at is None else expression(timing.at))
+    if timing.every is not None:
+        text += rf" + n \cdot \left({expression(timing.every)}\right)"
+    return text if timing.until is None else rf"{text} \le {expression(timing.until)}"
 
 
 def starts(model: Model) -> list[tuple[str, str]]:

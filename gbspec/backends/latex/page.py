@@ -40,6 +40,7 @@ def document(model: Model) -> str:
         _aligned("Balances", equations.balances(model)),
         _aligned("Algebraic equations", equations.algebraic(model)),
         _aligned("Random disturbances", equations.disturbances(model)),
+        _aligned("Events", equations.events(model), ""),
         _aligned("Rates and intermediates", equations.intermediates(model)),
         _unknowns(model),
         _aligned("Measured", equations.observations(model)),
@@ -83,11 +84,11 @@ def text(words: str) -> str:
     return "".join(_SPECIAL.get(character, character) for character in " ".join(words.split()))
 
 
-def _aligned(heading: str, pairs: Sequence[tuple[str, str]]) -> str:
+def _aligned(heading: str, pairs: Sequence[tuple[str, str]], sign: str = "= ") -> str:
     """Equations below each other, aligned at their relation signs; an empty text if there are none."""
     if not pairs:
         return ""
-    lines = " \\\\\n".join(f"  {left} &= {right}" for left, right in pairs)
+    lines = " \\\\\n".join(f"  {left} &{sign}{right}" for left, right in pairs)
     return f"\\subsection*{{{heading}}}\n\\begin{{align*}}\n{lines}\n\\end{{align*}}"
 
 

@@ -16,6 +16,7 @@ WIDTH = 120
 NAMES = "tuple[str, ...]"
 TYPES = {
     **dict.fromkeys(("title", "solver", "time"), "str"),
+    "categories": "dict[str, tuple[str, ...]]",
     **dict.fromkeys(("states", "conditions", "inputs", "channels", "unknowns", "constants", "learnables"), NAMES),
     **dict.fromkeys(("per_trajectory", "doses", "interpolation"), NAMES),
     "channel_states": "tuple[int | None, ...]",
@@ -77,7 +78,11 @@ def attributes(model: Model, method: Method) -> str:
         "descriptions": table_of(model, _first((item.name, item.description) for item in named)),
         "networks": tuple(_network(model, network) for network in model.networks),
     }
+    categories = {condition.name: condition.categories for condition in model.conditions if condition.categories}
+    if categories:
+        values["categories"] = categories
     comments = {
+        "categories": "the names of the numbers 0, 1, and so on of a condition",
         "solver": "the method that takes the steps",
         "constants": "known constants first, then the learnable ones",
         "interpolation": "of the inputs between their values",

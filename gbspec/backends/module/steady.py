@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sympy
+
 from gbspec.backends.module.equations import PARAMETERS, body_of
 from gbspec.backends.module.writing import comma, method_text
 from gbspec.backends.printing import Assignment, Names, temporary
@@ -21,15 +23,17 @@ def methods(model: Model) -> list[str]:
         [Assignment(temporary(f"law{i}_{j}"), value, f"law{i}_{j}") for j, value in enumerate(law)]
         for i, law in enumerate(model.steady.laws)
     ]
-    outputs = [*held.values(), *(one for law in laws for one in law)]
+    which = sympy.S.One if model.steady.chosen is None else model.steady.chosen
+    chosen = Assignment(temporary("chosen"), which, "chosen")
+    outputs = [*held.values(), *(one for law in laws for one in law), chosen]
     body = body_of(model, outputs, names, {item.symbol for item in given if item.name not in held})
     parts = []
     for word, items in (("condition", model.conditions), ("inputs", model.inputs)):
         found = comma(names[held[item.name].symbol if item.name in held else item.symbol] for item in items)
         parts.append(f"math.pack({word}, ({found}))" if any(item.name in held for item in items) else word)
     rows = (f"({comma(names[one.symbol] for one in law)})" for law in laws)
-    body.append(f"return {parts[0]}, {parts[1]}, ({comma(rows)})")
-    document = "Conditions and inputs while a steady state is sought, and the sums of its states that are conserved."
+    body.append(f"return {parts[0]}, {parts[1]}, ({comma(rows)}), {names[chosen.symbol]}")
+    document = "Conditions and inputs while a steady state is sought, sums of its states that stay, and whether it is."
     places = comma(str(i) for i in model.steady.states)
     return [
         f"# the states that start in a steady state\nsteady_states: ClassVar[tuple[int, ...]] = ({places})",
@@ -41,4 +45,27 @@ def methods(model: Model) -> list[str]:
             ["return _settled(slopes, jacobians, start, laws)"],
         ),
         method_text("@classmethod", "steady", ["cls", "math", "condition", "inputs", "constants"], document, body),
+        *_resumed(model),
     ]
+
+
+def _resumed(model: Model) -> list[str]:
+    """`resumed`, where states are set after the steady state was found."""
+    assert model.steady is not None
+    if not model.steady.after:
+        return []
+    names = Names(PARAMETERS)
+    for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
+        names.claim(item.symbol)
+    values = {
+        place: Assignment(temporary(f"after_{place}"), value, model.states[place].name)
+        for place, value in model.steady.after
+    }
+    kept = {state.symbol for place, state in enumerate(model.states) if place not in values}
+    body = body_of(model, list(values.values()), names, kept)
+    parts = comma(
+        names[values[place].symbol if place in values else state.symbol] for place, state in enumerate(model.states)
+    )
+    body.append(f"return math.pack(state, ({parts}))")
+    document = "The states with which a trajectory begins after its steady state was found."
+    return [method_text("@classmethod", "resumed", ["cls", "math", "state", "condition", "constants"], document, body)]

@@ -1,10 +1,14 @@
 /* The unroll: tiles of TILE trajectories, each with its whole solution and reverse pass. */
 
-static void forward_to_checkpoint(Work *w, int64_t begin, int64_t end, real *x, double *residuals, double *states) {
+/* `states` is NULL where sub-steps are solved again. */
+static void forward_to_checkpoint(Work *w, int64_t begin, int64_t end, real *x, const Outputs *out, double *states) {
     for (int64_t s = begin; s < end; s++) {
         step_forward(w, s, (size_t)(s - begin), x);
+#if EVENTS
+        if (states) count_events(w, out);
+#endif
         memcpy(w->reached + (size_t)(s - begin) * STATES * TILE, x, STATES * TILE * sizeof(real));
-        arrive(w, s + 1, x, residuals, states);
+        arrive(w, s + 1, x, out->residuals, states);
     }
 }
 
@@ -15,7 +19,7 @@ static void reverse_to_checkpoint(Work *w, int64_t begin, int64_t end, const dou
         step_reverse(w, s, slot, xb);
         /* The weights' products are deferred over some steps, so that a block of sums stays in registers for longer. */
         if (++pending == WEIGHT_STEPS || s == begin) {
-            for (int i = 0; i < RHS_SITES; i++)
+            for (int i = 0; i < RHS_SITES && !EVENTS; i++) /* with events `step_reverse` has formed them */
                 if (kept(i))
                     net_gradient(w->sites[i].net, &w->sites[i], slot * STAGES * TILE, (size_t)pending * STAGES * TILE, 1);
             pending = 0;
@@ -34,7 +38,7 @@ static void run_tile(Work *w, const Share *share, const Outputs *out) {
     for (int64_t begin = 0; begin < w->depth; begin += w->checkpoint_interval) {
         const int64_t end = next_checkpoint(w, begin);
         memcpy(checkpoint_at(w, begin), x, sizeof x);
-        forward_to_checkpoint(w, begin, end, x, out->residuals, out->states);
+        forward_to_checkpoint(w, begin, end, x, out, out->states);
     }
     if (!share->gradient) return;
     zero(xb, STATES * TILE);
@@ -44,7 +48,7 @@ static void run_tile(Work *w, const Share *share, const Outputs *out) {
         const int64_t end = next_checkpoint(w, begin);
         if (end < w->depth) {
             memcpy(x, checkpoint_at(w, begin), sizeof x);
-            forward_to_checkpoint(w, begin, end, x, out->residuals, NULL);
+            forward_to_checkpoint(w, begin, end, x, out, NULL);
         }
         reverse_to_checkpoint(w, begin, end, share->cotangent, xb);
     }

@@ -68,6 +68,7 @@ static void reverse_state(Work *w, const Intervals *all, const int64_t *which, i
     invariant_start(w);
     w->d_amounts = all->d_amounts + (size_t)state * all->arrivals;
     w->d_times = all->d_times + (size_t)state * all->arrivals;
+    if (EVENTS) zero(w->gradients, w->n_gradients); /* `step_reverse` adds to them */
     for (int64_t s = end - 1; s >= begin; s--) step_reverse(w, s, (size_t)(s - begin), xb);
     for (int i = 0; i < RHS_SITES; i++)
         if (SITE_INVARIANT[i]) net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
@@ -77,8 +78,8 @@ static void reverse_state(Work *w, const Intervals *all, const int64_t *which, i
         for (int i = 0; i < LEARNABLES; i++) all->d_constants[row * LEARNABLES + i] += w->kb[i * TILE + t];
         const int64_t steps = (w->steps[t] < end ? w->steps[t] : end) - begin;
         if (!all->d_weights || steps <= 0) continue;
-        zero(w->gradients, w->n_gradients);
-        for (int i = 0; i < RHS_SITES; i++)
+        if (!EVENTS) zero(w->gradients, w->n_gradients);
+        for (int i = 0; i < RHS_SITES && !EVENTS; i++)
             net_gradient(w->sites[i].net, &w->sites[i], (size_t)t, SITE_INVARIANT[i] ? 1 : (size_t)steps * STAGES, TILE);
         write_lane(w, all->factor, all->shift, all->d_weights + row * all->columns);
     }

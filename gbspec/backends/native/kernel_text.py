@@ -10,6 +10,7 @@ from importlib import resources
 from itertools import pairwise
 from typing import Literal, assert_never
 
+from gbspec.backends.native import events
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.lookups import table_functions
 from gbspec.backends.native.sections import Equations, Site
@@ -55,8 +56,10 @@ class Source:
 def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> Source:
     """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a model that torch must run."""
     _check(model)
+    events.check(model, precision, method)
     balances = flatten(model, model.balances)
-    rhs = Equations(model, balances, 0, _places(RHS_PLACES), "rhs", once=True, timed=_timed(model))
+    once = not model.events  # steps that events cut are taken again one by one in the reverse pass
+    rhs = Equations(model, balances, 0, _places(RHS_PLACES), "rhs", once=once, timed=_timed(model))
     observe = Equations(
         model,
         flatten(model, [channel.value for channel in model.channels]),
@@ -76,11 +79,15 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
         *declarations(),
         "",
     ]
-    before, after = ("runtime", "networks", "work"), ["steps", "rows", "driver"]
+    before, after = ["runtime", "networks", "work"], ["steps", "rows", "driver"]
+    if model.events:
+        before.insert(2, "crossing")
+        after[1:1] = ["events", "events_reverse"]
     # Only least-squares fits need the Jacobian, and they run in double precision.
     after += ["jacobian"] if precision == "float64" else []
-    after += ["control"] if precision == "float64" and method.b_error else []
-    parts = [*map(_text, before), *table_functions(model.tables), *_equations(model, rhs, observe), *map(_text, after)]
+    after += ["control"] if precision == "float64" and method.b_error and not model.events else []
+    own = [*_equations(model, rhs, observe), *events.functions(model, _places(RHS_PLACES))]
+    parts = [*map(_text, before), *table_functions(model.tables), *own, *map(_text, after)]
     return Source(
         "\n".join([*head, *parts]), {name: value for name, value in numbers.items() if isinstance(value, int)}
     )
@@ -99,14 +106,14 @@ def _check(model: Model) -> None:
         raise NotCoveredError("it has no states")
     if model.delays:
         raise NotCoveredError("it has delays, for which steps look at the solution before")
-    if model.events:
-        raise NotCoveredError("it has events, which cut the steps at times of their own")
     if model.algebraics:
         raise NotCoveredError("it has algebraic variables, which a search finds in every step")
 
 
 def _timed(model: Model) -> bool:
-    """Whether learned quantities, the lags of doses, move the starts of sub-steps."""
+    """Whether learned quantities, the lags of doses or the times of events, move the starts of sub-steps."""
+    if model.events:
+        return True
     learned = {learnable.symbol for learnable in model.learnables}
     return any(dose.lag.free_symbols & learned for dose in model.doses)
 
@@ -121,10 +128,11 @@ def _numbers(
 ) -> dict[str, int | float]:
     sites = len(rhs.sites) + len(observe.sites)
     size = 8 if precision == "float64" else 4
-    per_step = 4 * TILE * max([n for network in model.networks for n in network.hidden] or [1]) * size
+    tile = 1 if model.events else TILE  # each trajectory is cut at times of its own
+    per_step = 4 * tile * max([n for network in model.networks for n in network.hidden] or [1]) * size
     return {
         "REAL_IS_FLOAT": int(precision == "float32"),
-        "TILE": TILE,
+        "TILE": tile,
         "STATES": len(model.states),
         "CONDITIONS": len(model.conditions),
         "INPUTS": len(model.inputs),
@@ -140,6 +148,7 @@ def _numbers(
         "STAGES": method.advancing,
         "NODES": len(method.nodes),
         "KEPT_BYTES": KEPT_BYTES,
+        **events.sizes(model),
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
         "LOG_FLOOR": LOG_FLOOR,
         "LEAST_SIZE": LEAST_SIZE,

@@ -16,6 +16,7 @@ static void set_lane(Work *w, int t, int64_t who, int64_t first, int64_t steps) 
     for (int i = 0; i < CONSTANTS; i++) w->constants[i * TILE + t] = R(w->inputs->constants[who * CONSTANTS + i]);
 }
 
+#if !EVENTS
 typedef struct {
     real h[TILE], time[STAGES][TILE], inputs[STAGES][INPUTS * TILE + 1];
 } Step;
@@ -34,6 +35,7 @@ static void read_step(const Work *w, int64_t s, Step *step) {
         }
     }
 }
+#endif
 
 /* The first arrival in a lane at the start of step s, -1 for none. */
 static int32_t arrival_of(const Work *w, int64_t s, int t) {
@@ -42,12 +44,14 @@ static int32_t arrival_of(const Work *w, int64_t s, int t) {
     return there ? d->arrival_at[w->who[t] * d->depth + w->first[t] + s] : -1;
 }
 
+#if !EVENTS
 /* Lanes that have ended stay at their initial state, so that a state that has grown large causes no infinite rates. */
 static void wait_where_begun(const Work *w, int64_t s, real *x) {
     for (int t = 0; t < TILE; t++)
         if (s == w->steps[t])
             for (int i = 0; i < STATES; i++) x[i * TILE + t] = w->begun[i * TILE + t];
 }
+#endif
 
 /* sum += the rows' sum, weighted. A row of weight 0 is skipped: it may be infinite. */
 INLINE void add_weighted(const int count, const double *weights, real rows[][STATES * TILE], real *sum) {
@@ -103,6 +107,7 @@ static void divide_lanes(const Work *w, int64_t s, int transposed, real *vector)
 }
 #endif
 
+#if !EVENTS
 static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
     Step step;
     real k[STAGES][STATES * TILE], sum[STATES * TILE];
@@ -131,6 +136,7 @@ static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
     for (int i = 0; i < STATES * TILE; i++) x[i] += step.h[i % TILE] * sum[i];
     if (TIMED) memcpy(w->rates + slot * (STAGES * STATES * TILE), k, sizeof k);
 }
+#endif
 
 /* The first arrival in a lane at the start of step s, if it moves that start; else -1. */
 static int32_t cut_of(const Work *w, int64_t s, int t) {
@@ -140,6 +146,7 @@ static int32_t cut_of(const Work *w, int64_t s, int t) {
 
 static const real *rate(const Work *w, size_t slot, int q) { return w->rates + (slot * STAGES + q) * (STATES * TILE); }
 
+#if !EVENTS
 /* Whether an arrival moves the start or the end of a lane's step s. */
 static int at_cut(const Work *w, int64_t s) {
     for (int t = 0; t < TILE; t++)
@@ -165,12 +172,14 @@ static void time_reverse(Work *w, int64_t s, const real *hb, real tb[STAGES][TIL
         if (end >= 0) w->d_times[end] += of_length;
     }
 }
+#endif
 
 /* Contribution of a weighted rate to the cotangent of a step's length; `bar` is the cotangent of the weighted sum. */
 static void length_reverse(double weight, const real *bar, const real *rates, real *hb) {
     for (int i = 0; weight != 0 && i < STATES * TILE; i++) hb[i % TILE] += bar[i] * R(weight) * rates[i];
 }
 
+#if !EVENTS
 /* `xb`: on entry the cotangent of the state after the step, on return of that before the arrivals at its start. */
 static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
     Step step;
@@ -205,3 +214,4 @@ static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
         for (int32_t j = arrival_of(w, s, t); j >= 0; j = w->data->arrival_next[j])
             w->d_amounts[j] = xb[w->data->arrival_state[j] * TILE + t];
 }
+#endif

@@ -82,6 +82,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _places("arrival_state", "arrivals", "index of the state it is added to", optional=True),
         _places("arrival_cuts", "arrivals", "whether it moves the start of its sub-step", optional=True),
         _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, if sub-steps are cut", optional=True),
+        _reals("band", "one", "near the end of a sub-step, in which events wait for the next one", optional=True),
         _places("logarithmic", "CHANNELS"),
         _places("side", "rows, CHANNELS", "of a limit that values lie on: -1, 1; 0: no limit", optional=True),
         _reals("level", "CHANNELS", "standard deviation of noise in units of residuals, 0: not known", optional=True),
@@ -115,6 +116,8 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _found("d_initial", "trajectories, STATES"),
         _found("d_amounts", "arrivals"),
         _found("d_times", "arrivals", "added to, if TIMED: for arrivals that cut sub-steps"),
+        Field("happened", "how often each event happens", "int32_t", "trajectories, EVENTS", written=True),
+        Field("endless", "whether events have no end", "int32_t", "trajectories", written=True),
     ),
     # Intervals between consecutive key rows, ordered by their numbers of sub-steps.
     "Intervals": (

@@ -14,6 +14,10 @@ typedef struct {
     real *reached;     /* [checkpoint_interval][STATES][TILE]: states at the ends of steps */
     real *checkpoints; /* [checkpoints][STATES][TILE] */
     real begun[STATES * TILE]; /* state at the start of the first step */
+#if EVENTS
+    real *starts; /* [checkpoint_interval][STATES]: states at the starts of steps */
+    Crossing *crossing;
+#endif
     real condition[CONDITIONS * TILE + 1], constants[CONSTANTS * TILE + 1], numbers[NUMBERS + 1];
     double kb[LEARNABLES * TILE + 1];
     Net nets[NETWORKS + 1];
@@ -78,6 +82,10 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     w->rates = TIMED ? take_real(&place, (size_t)w->checkpoint_interval * STAGES * STATES * TILE) : NULL;
     w->reached = take_real(&place, (size_t)w->checkpoint_interval * STATES * TILE);
     w->checkpoints = take_real(&place, (size_t)(depth / w->checkpoint_interval + 2) * STATES * TILE);
+#if EVENTS
+    w->starts = take_real(&place, (size_t)w->checkpoint_interval * STATES);
+    w->crossing = take(&place, sizeof(Crossing));
+#endif
     for (int i = 0; i < SITES; i++) {
         Site *site = &w->sites[i];
         const Net *net = site->net = &w->nets[SITE_NETWORK[i]];

@@ -20,6 +20,7 @@ FORMS = exporting.forms()
     "gbspec export my_run -o my_library --as c",
     "gbspec export my_run -o my_model.fmu --as fmu3",
     "gbspec export my_run -o phi.onnx --as onnx --part phi --precision float32",
+    "gbspec export model.gb -o problem --as petab --data table.csv",
 )
 def run(
     output: Output,
@@ -45,6 +46,9 @@ def run(
         str | None,
         typer.Option("--part", help="One ONNX graph alone: rhs, observe, step, or a learned function.", metavar="NAME"),
     ] = None,
+    data: Annotated[
+        str | None, typer.Option("--data", help="The table of measurements of a PEtab problem.", metavar="FILE")
+    ] = None,
     set_values: Settings = None,
     member: Annotated[
         int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
@@ -53,11 +57,12 @@ def run(
     """Export a learned model for other programs; networks are inside, gbspec and Python are not needed."""
     from gbspec.diagnostics import Findings
     from gbspec.exports import ExportOptions
-    from gbspec.operations import models
+    from gbspec.operations import models, tables
 
-    options = ExportOptions(verify, "float32" if precision == "float32" else "float64", part)
     findings = Findings()
     subject = models.subject(source, settings(set_values), findings, member)
+    table = None if data is None else tables.read_data(data, subject.model, findings)
+    options = ExportOptions(verify, "float32" if precision == "float32" else "float64", part, table)
     made = exporting.export(subject, to, as_, options, findings, source)
     output.findings(findings)
     worst = max(made.checked.values(), default=None)

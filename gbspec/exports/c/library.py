@@ -69,6 +69,8 @@ class Library:
             lines.append(f"    double {member}; /* {ascii_text(said)} */")
         lines += ["    double unused; /* a struct needs a member */"] * (not given)
         lines += [f"}} {p}_parameters;", "", *_text("header.h").replace("PREFIX", p).splitlines()]
+        if model.events:
+            lines += _text("events.h").replace("PREFIX", p).splitlines()
         for name, arguments in self._unknowns():
             lines += [f"double {name}(const {p}_parameters *p, {arguments});", ""]
         return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "#endif", ""])
@@ -106,7 +108,7 @@ class Library:
             lines = Straight(flat, self._place, self._direction).body("out")
             head = f"void {self.prefix}_{name}_along({ALONG.format(self.prefix)}, double *out)"
             body += function(head, lines, _unused(["p", "t", "x", "u", "dp", "dt", "dx", "du", "out"], lines))
-        body += [*self._outside(), *self._dose(), *self._called(), *self._step()]
+        body += [*self._outside(), *self._dose(), *self._events(), *self._called(), *self._step()]
         body += _text("simulate.c").replace("PREFIX_parameters", f"{self.prefix}_parameters").splitlines()
         text = "\n".join(body)
         text = self._sized(text)
@@ -189,6 +191,27 @@ class Library:
         if not self.model.doses:
             return function(head, [], ["p", "fraction", "lag"])
         return function(head, lines, _unused(["p"], lines))
+
+    def _events(self) -> list[str]:
+        """What events need, in models that have any."""
+        if not self.model.events:
+            return []
+        programs, p, count = self.programs, self.prefix, len(self.model.states)
+        out: list[str] = []
+        for name, flat in (("guards", programs.guards), ("ranks", programs.ranks)):
+            lines = Straight(flat, self._place).body("values")
+            head = f"void {p}_{name}({WHERE.format(p)}, double *values)"
+            out += function(head, lines, _unused(["p", "t", "x", "u", "values"], lines))
+        lines = Straight(programs.timing, self._place).body("values")
+        out += function(
+            f"void {p}_timing(const {p}_parameters *p, double *values)", lines, _unused(["p", "values"], lines)
+        )
+        size = len(programs.happen.outputs)
+        straight = Straight(programs.happen, self._place).body("after")
+        lines = [f"double after[{size}];", "int i;", *straight]
+        lines.append(f"for (i = 0; i < {count}; i++) found[i] = after[{count} * event + i];")
+        head = f"void {p}_happen({WHERE.format(p)}, int event, double *found)"
+        return out + function(head, lines, _unused(["p", "t", "x", "u"], straight))
 
     def _unknowns(self) -> Iterator[tuple[str, str]]:
         """The C name and the parameters of each learned function."""

@@ -25,6 +25,10 @@ OWN = frozenset(
         "doses",
         "step",
         "simulate",
+        "guards",
+        "ranks",
+        "timing",
+        "happen",
     ]
 )
 """What follows the prefix in names of the library itself."""

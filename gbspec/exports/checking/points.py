@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.exports.subject import Exported
-from gbspec.ir import Condition, Input, State
+from gbspec.ir import Condition, Input, State, whole
 
 SPREAD = 0.05
 """How far constants are varied, relative to their values."""
@@ -47,6 +47,7 @@ def draw(exported: Exported, count: int, seed: int = 0, spread: float = SPREAD) 
         )
     ]
     drawn = [box[:, 0] + (box[:, 1] - box[:, 0]) * random.random((count, len(box))) for box in boxes]
+    drawn[1] = whole(model.conditions, drawn[1])
     own = exported.constants * (1 + spread * random.uniform(-1, 1, (count, len(exported.constants))))
     own[0] = exported.constants
     t = exported.start + random.random(count)

@@ -19,9 +19,12 @@ enum {
     VR_CHANNEL = VR_STEP + 1,
     VR_FUNCTION = VR_CHANNEL + PREFIX_CHANNELS,
     VR_SWITCH = VR_FUNCTION + PREFIX_FUNCTIONS,
-    VR_OUTSIDE = VR_SWITCH + PREFIX_SWITCHES,
+    VR_GUARD = VR_SWITCH + PREFIX_SWITCHES,
+    VR_OUTSIDE = VR_GUARD + GB_GUARDS,
     VR_END = VR_OUTSIDE + 1
 };
+
+#define GB_ENDLESS "events follow each other without end"
 
 typedef enum { GB_INSTANTIATED, GB_INITIALIZATION, GB_RUNNING } gb_mode;
 
@@ -29,13 +32,16 @@ typedef enum { GB_INSTANTIATED, GB_INITIALIZATION, GB_RUNNING } gb_mode;
 typedef struct {
     double time, x[PREFIX_STATES], u[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1];
     double regimen[4 * PREFIX_DOSES + 1], given[PREFIX_DOSES + 1], step;
+    double turn[GB_TIMED + 1], band[GB_GUARDS + 1], start; /* how often timed events happened; see gb_indicators */
+    int on[GB_GUARDS + 1], pending[GB_GUARDS + GB_TIMED + 1];
     PREFIX_parameters p;
     gb_mode mode;
 } gb_memory;
 
 typedef struct {
     gb_memory memory;
-    double dx[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1], z[PREFIX_SWITCHES + 1];
+    double dx[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1], z[PREFIX_SWITCHES + GB_GUARDS + 1];
+    int endless;        /* whether events follow each other without end */
     int outside, fresh; /* whether these are those of the memory */
     void *environment, *log;
     char name[64];
@@ -47,8 +53,9 @@ int gb_get(gb_instance *g, unsigned vr, double *value); /* 0, or 1 if there is n
 int gb_set(gb_instance *g, unsigned vr, double value);  /* 0, or 1 if it cannot be set */
 void gb_begin(gb_instance *g, double start);
 void gb_exit_initialization(gb_instance *g);
-int gb_next_event(const gb_instance *g, double *time); /* whether a dose is to arrive, and when */
-int gb_give(gb_instance *g);                           /* whether doses arrived now */
+int gb_next_event(const gb_instance *g, double *time); /* whether a dose or an event is to come, and when */
+int gb_update(gb_instance *g);                         /* whether doses arrived or events happened now */
+void gb_indicators(const gb_instance *g, double *z);
 int gb_advance(gb_instance *g, double from, double to); /* 0, or 1 if the state is not finite */
 int gb_along(gb_instance *g, const unsigned *unknowns, size_t n_unknowns, const unsigned *knowns, size_t n_knowns,
              const double *seed, double *found);

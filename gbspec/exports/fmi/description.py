@@ -31,7 +31,7 @@ def description(variables: Variables, version: Version, identifier: str, token: 
         },
     )
     if version == "2":
-        root.set("numberOfEventIndicators", str(variables.library.sizes["SWITCHES"]))
+        root.set("numberOfEventIndicators", str(sum(v.indicator for v in variables.all)))
     states = {"canGetAndSetFMU": "true", "canSerializeFMU": "true"}
     word = "state" if version == "2" else "State"
     common = {"modelIdentifier": identifier, **{f"{key}{word}": value for key, value in states.items()}}

@@ -181,7 +181,8 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     info->newDiscreteStatesNeeded = fmi2False;
     info->terminateSimulation = fmi2False;
     info->nominalsOfContinuousStatesChanged = fmi2False;
-    info->valuesOfContinuousStatesChanged = gb_give(G) ? fmi2True : fmi2False;
+    info->valuesOfContinuousStatesChanged = gb_update(G) ? fmi2True : fmi2False;
+    if (G->endless) return complain(c, GB_ENDLESS);
     info->nextEventTimeDefined = gb_next_event(G, &next) ? fmi2True : fmi2False;
     info->nextEventTime = next;
     return fmi2OK;
@@ -219,8 +220,8 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
 }
 
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
-    if (n != PREFIX_SWITCHES) return complain(c, "this is not the number of event indicators");
-    if (n) PREFIX_switches(&G->memory.p, G->memory.time, G->memory.x, G->memory.u, z);
+    if (n != PREFIX_SWITCHES + GB_GUARDS) return complain(c, "this is not the number of event indicators");
+    gb_indicators(G, z);
     return fmi2OK;
 }
 
@@ -259,7 +260,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean final) {
     (void)final;
-    return gb_advance(G, time, time + step) ? complain(c, "the states are not finite") : fmi2OK;
+    return gb_advance(G, time, time + step) ? complain(c, G->endless ? GB_ENDLESS : "the states are not finite") : fmi2OK;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) { NOT_THERE("fmi2CancelStep"); }

@@ -247,7 +247,8 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unk
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *time) {
     *again = *terminate = *nominals = fmi3False;
-    *values = gb_give(G) ? fmi3True : fmi3False;
+    *values = gb_update(G) ? fmi3True : fmi3False;
+    if (G->endless) return complain(c, GB_ENDLESS);
     *defined = gb_next_event(G, time) ? fmi3True : fmi3False;
     return fmi3OK;
 }
@@ -279,8 +280,8 @@ fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], s
 }
 
 fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) {
-    if (n != PREFIX_SWITCHES) return complain(c, "this is not the number of event indicators");
-    if (n) PREFIX_switches(&G->memory.p, G->memory.time, G->memory.x, G->memory.u, z);
+    if (n != PREFIX_SWITCHES + GB_GUARDS) return complain(c, "this is not the number of event indicators");
+    gb_indicators(G, z);
     return fmi3OK;
 }
 
@@ -300,7 +301,7 @@ fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominal
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n) {
     (void)c;
-    *n = PREFIX_SWITCHES;
+    *n = PREFIX_SWITCHES + GB_GUARDS;
     return fmi3OK;
 }
 
@@ -317,7 +318,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Bo
     (void)final;
     *event = *terminate = *early = fmi3False;
     *last = time + step;
-    return gb_advance(G, time, time + step) ? complain(c, "the states are not finite") : fmi3OK;
+    return gb_advance(G, time, time + step) ? complain(c, G->endless ? GB_ENDLESS : "the states are not finite") : fmi3OK;
 }
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int32 order[],

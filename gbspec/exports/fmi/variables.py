@@ -61,6 +61,7 @@ class Variables:
             ("channel", sizes["CHANNELS"]),
             ("function", sizes["FUNCTIONS"]),
             ("switch", sizes["SWITCHES"]),
+            ("guard", len(library.programs.conditional)),
             ("outside", 1),
         ):
             self.first[name] = place
@@ -107,6 +108,9 @@ class Variables:
             yield Variable(
                 f"switch[{i + 1}]", vr, "local", description=f"sign of {value}", indicator=True, depends=refs
             )
+        for i, (event, on) in enumerate(zip(programs.conditional, dependencies(programs.guards), strict=True)):
+            vr, said = self.first["guard"] + i, event.description or f"{event.condition}"
+            yield Variable(f"event.{event.name}", vr, "local", description=said, indicator=True, depends=self._refs(on))
         asked = set[sympy.Symbol]().union(*dependencies(programs.arguments))
         yield Variable(
             "outside",

@@ -53,7 +53,7 @@ class Courses:
             targets = dict.fromkeys(k for one in mine.values() for k in self._formulas[_name(one)])
             values = {target: self._value(target, mine, constants) for target in targets}
             condition = Formula(">=", (TIME, named(time)))
-            made.append(Happening(name, condition, values, ZERO, ZERO, False, False, True, True, _NOWHERE))
+            made.append(Happening(name, condition, values, ZERO, ZERO, False, False, True, True, _NOWHERE, named(time)))
         return tuple(made)
 
     def _value(self, target: str, mine: dict[str, Switch], constants: dict[str, Quantity]) -> Formula:

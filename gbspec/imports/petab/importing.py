@@ -22,18 +22,17 @@ from gbspec.imports.formulas import (
     Formula,
     as_number,
     call,
-    chosen,
-    compared,
     named,
     names,
     number,
     replaced,
     spelled_number,
 )
+from gbspec.imports.petab.conditions import Conditions
 from gbspec.imports.petab.courses import Courses, uses_time
 from gbspec.imports.petab.networks import Networks, read_networks
 from gbspec.imports.petab.problem import FILE, LINE, Row, Tables, files_of, read_document, read_first, rows_of, version
-from gbspec.imports.petab.second import Second, read_second, steady
+from gbspec.imports.petab.second import Second, read_second
 from gbspec.imports.safety import refused
 from gbspec.imports.sbml import Change, NotOfferedError, described_model, formula_of, read_model
 from gbspec.imports.writing import model_name, written
@@ -71,9 +70,7 @@ def import_petab(path: Path) -> Imported:
 
 def _check_times(made: Description, second: Second, report: Report) -> None:
     """The table's times count from the start of each experiment, which is 0 in the model."""
-    for name in steady(second):
-        report.refuse(f"experiment {name}", 0, "pre-equilibration is not offered yet")
-    late = [name for name, start in second.starts.items() if start and math.isfinite(start)]
+    late = [name for name, start in second.starts.items() if start]
     for name in late:
         if uses_time(made):
             report.refuse(f"experiment {name}", 0, "it begins at another time than 0, and the model contains the time")
@@ -101,8 +98,6 @@ class _Problem:
     assigned: dict[str, Formula] = field(default_factory=dict)
     starts: dict[str, Formula] = field(default_factory=dict)
     channels: dict[Key, Channel] = field(default_factory=dict)
-    values: dict[str, dict[str, str]] = field(default_factory=dict)
-    """The numbers of each condition's columns by name."""
     experiment: str = "experiment"
     """The name of the number of the condition."""
 
@@ -116,13 +111,24 @@ class _Problem:
         for row in self.tables.parameters:
             if row.get("parameterId", "") not in networks.scopes:
                 self._parameter(row)
-        self._conditions()
+        self.conditions = self._conditions()
+        self.values = self.conditions.values
         self._hybrid(networks)
         self.courses = Courses(self.second, self.values, self.experiment, self._formula)
         for row in self.tables.measurements:
             self._measured(row)
         happenings = self.courses.happenings(self.constants)
-        return Change(self.constants, self.assigned, self.starts, happenings, tuple(self.channels.values()))
+        channels = tuple(self.channels.values())
+        return Change(self.constants, self.assigned, self.starts, happenings, channels, self.conditions.rest)
+
+    def _conditions(self) -> Conditions:
+        made = Conditions(
+            self.tables, self.model, self.second, self.report, self.experiment, self.constants, self._formula
+        )
+        made.read()
+        self.assigned |= made.assigned
+        self.starts |= made.starts
+        return made
 
     # ------------------------------------------------------------------------------------------------------ networks
     def _networks(self) -> Networks:
@@ -200,86 +206,12 @@ class _Problem:
         self._omit(f"parameter {row.get('parameterId', '')}", row, f"the prior `{kind}` on the scale {scale}")
         return ""
 
-    # ---------------------------------------------------------------------------------------------------- conditions
-    def _conditions(self) -> None:
-        used = {row.get("simulationConditionId", "") for row in self.tables.measurements}
-        rows = [row for row in self.tables.conditions if row.get("conditionId") in used]
-        lacking = used - {row.get("conditionId") for row in rows}
-        for name in sorted(lacking):
-            self.report.refuse(f"condition {name}", 0, "no table has it")
-        places = {row["conditionId"]: i for i, row in enumerate(rows)}
-        self.values = {name: {self.experiment: str(i)} for name, i in places.items()}
-        columns = dict.fromkeys(key for row in rows for key in row)
-        for column in columns:
-            if column not in ("conditionId", "conditionName", LINE, FILE):
-                self._column(column, rows)
-
-    def _column(self, column: str, rows: list[Row]) -> None:
-        """One quantity that conditions change."""
-        species = self.model.getSpecies(column) is not None or self.second.changes(column)
-        cells = [row.get(column, "") for row in rows]
-        if species and all(not cell or (_number(cell) is None and cell.lower() == "nan") for cell in cells):
-            return
-        numbers = [_number(cell) for cell in cells]
-        if all(one is not None for one in numbers):
-            name = f"{column}_start" if species else column
-            self.constants[name] = Quantity(name, None, condition=True)
-            for row, cell in zip(rows, cells, strict=True):
-                self.values[row["conditionId"]][name] = cell
-            if species:
-                self.starts[column] = named(name)
-            return
-        options = [self._cell(column, row, cell, species) for row, cell in zip(rows, cells, strict=True)]
-        if any(option is None for option in options):
-            return
-        found = options[-1]
-        for i in range(len(options) - 2, -1, -1):
-            assert found is not None
-            if options[i] != found:
-                found = chosen(compared("==", named(self.experiment), number(i)), options[i] or number(0), found)
-        assert found is not None
-        if self.experiment in names(found):
-            self.constants[self.experiment] = Quantity(self.experiment, None, "number of the condition", condition=True)
-        (self.starts if species else self.assigned)[column] = found
-        if not species:
-            self.constants.pop(column, None)
-
-    def _cell(self, column: str, row: Row, cell: str, species: bool) -> Formula | None:
-        """The value of a cell: a number, a parameter, or, where it is empty, what the model says."""
-        value = _number(cell)
-        if value is not None:
-            return number(value)
-        if cell and cell.lower() != "nan":
-            return self._formula(cell, f"condition table, {column}", row)
-        known = self.constants.get(column)
-        if known is not None and known.learn is None and known.value is not None:
-            return known.value
-        return self._of_model(column, row)
-
-    def _of_model(self, column: str, row: Row) -> Formula | None:
-        """The value that the SBML model gives."""
-        assignment = self.model.getInitialAssignment(column)
-        if assignment is not None:
-            return as_number(formula_of(assignment.getMath()))
-        element = self.model.getElementBySId(column)
-        for asked, got in (("isSetValue", "getValue"), ("isSetInitialConcentration", "getInitialConcentration"),
-                           ("isSetSize", "getSize")):  # fmt: skip
-            if hasattr(element, asked) and getattr(element, asked)():
-                return number(getattr(element, got)())
-        self._refuse(f"condition table, {column}", row, "an empty cell, and the model gives no plain value")
-        return None
-
     # --------------------------------------------------------------------------------------------------- observables
     def _measured(self, row: Row) -> None:
         """A measurement: its channel is declared when it is first met."""
         name = row.get("observableId", "")
-        if row.get("preequilibrationConditionId"):
-            self._refuse(
-                f"condition {row['preequilibrationConditionId']}", None, "pre-equilibration is not offered yet"
-            )
-        time = _number(row.get("time", ""))
-        if time is None:
-            self._refuse(f"measurement of {name}", row, "a measurement at the steady state is not offered yet")
+        if math.isnan(_time(row)):
+            self._refuse(f"measurement of {name}", row, "its time is no number")
         if _number(row.get("measurement", "")) is None:
             self._refuse(f"measurement of {name}", row, "it has no value")
         key = self._key(row)
@@ -356,8 +288,8 @@ class _Problem:
         """The measurements as a wide table; replicates are trajectories of their own."""
         cells: dict[tuple[str, int], dict[float, dict[str, str]]] = {}
         for row in self.tables.measurements:
-            condition, time = row.get("simulationConditionId", ""), float(row["time"])
-            time -= self.second.starts.get(condition, 0.0)  # steady starts were refused
+            condition, time = self.conditions.course_of(row).name, _time(row)
+            time = 0.0 if math.isinf(time) else time - self.second.starts.get(row["simulationConditionId"], 0.0)
             column = columns[self.channels[self._key(row)].id]
             replicate = 0
             while column in cells.get((condition, replicate), {}).get(time, {}):
@@ -390,6 +322,14 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if math.isfinite(value) else None
+
+
+def _time(row: Row) -> float:
+    """The time of a measurement, which may be infinite; NaN for what is no number."""
+    try:
+        return float(row.get("time", ""))
+    except ValueError:
+        return math.nan
 
 
 def _plain(formula: Formula) -> Formula:

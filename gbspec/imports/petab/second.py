@@ -1,6 +1,7 @@
 """The files of a PEtab 2 problem as tables of the first version, with what that version lacks beside them.
 
-An experiment whose conditions all apply at its start is a condition of PEtab 1. What applies later is a `Switch`.
+An experiment whose conditions all apply at its start is a condition of PEtab 1. What applies later is a `Switch`, and
+what applies before the start, until a steady state, is a condition of its own.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from gbspec.imports.safety import refused
 
 DEFAULT = "default"
 """The name of the experiment of measurements that name none."""
+BEFORE = "_before"
+"""After the name of an experiment: its condition before a steady state."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,8 @@ def read_second(path: Path, document: dict[str, Any]) -> tuple[Tables, Second]:
     conditions, second = _experiments(
         path, rows("experiment_files"), rows("condition_files"), measurements, "sciml" in extensions
     )
+    resting = {name for name in second.starts if name + BEFORE in second.conditions}
+    measurements = [_after_rest(row) if row["simulationConditionId"] in resting else row for row in measurements]
     tables = Tables(
         files_of(path, [found[0].get("location")])[0],
         conditions,
@@ -86,6 +91,10 @@ def read_second(path: Path, document: dict[str, Any]) -> tuple[Tables, Second]:
 
 def _measurement(row: Row) -> Row:
     return {**row, "simulationConditionId": row.get("experimentId") or DEFAULT}
+
+
+def _after_rest(row: Row) -> Row:
+    return {**row, "preequilibrationConditionId": row["simulationConditionId"] + BEFORE}
 
 
 def _observable(row: Row) -> Row:
@@ -133,17 +142,16 @@ def _experiments(
     found: list[Row] = []
     second = Second()
     for name, times in periods.items():
-        first, *later = sorted(times)
+        order = sorted(times)
         row = places[name]
         place = {LINE: row[LINE], FILE: row[FILE]}
-        found.append({"conditionId": name, **times[first], **place})
+        if math.isinf(order[0]):
+            found.append({"conditionId": name + BEFORE, **times[order.pop(0)], **place})
+            second.conditions[name + BEFORE] = tuple(applied.get((name, -math.inf), ()))
+        first, *later = order or [0.0]
+        found.append({"conditionId": name, **times.get(first, {}), **place})
         second.starts[name] = first
         second.conditions[name] = tuple(applied.get((name, first), ()))
         switches = tuple(Switch(name, time, times[time], row) for time in later if times[time])
         second = replace(second, switches=(*second.switches, *switches))
     return found, second
-
-
-def steady(second: Second) -> list[str]:
-    """The experiments that begin with a steady state."""
-    return [name for name, start in second.starts.items() if math.isinf(start)]

@@ -46,6 +46,8 @@ class Happening:
     persistent: bool
     early: bool
     element: Element
+    at: Formula | None = None
+    """The time, if the condition is that it has come."""
 
     def formulas(self) -> tuple[Formula, ...]:
         """All its formulas."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from gbspec.imports.computing import value_of
@@ -108,7 +108,7 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
             continue
         _check_condition(symbols, condition, refuse)
         check_start(symbols, out, condition, refuse)
-        values = _values(symbols, one)
+        values = values_set(symbols, one.values)
         symbols.lines[one.id] = (f"event {one.id}", one.element.getLine())
         out.events.append(
             Event(
@@ -121,6 +121,7 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
                 one.delay != ZERO and one.early and any(symbols.changes(value) for _, value in values),
                 one.delay != ZERO and not one.persistent,
                 description=described(one.element),
+                at=one.at,
             )
         )
     compare_events(symbols, out)
@@ -132,11 +133,11 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
             symbols.refusing(symbols.book.event(event.id))(reason)
 
 
-def _values(symbols: Symbols, one: Happening) -> tuple[tuple[str, Formula], ...]:
+def values_set(symbols: Symbols, given: Mapping[str, Formula]) -> tuple[tuple[str, Formula], ...]:
     """What an event sets: amounts where the language has them, by the size before the event; concentrations that keep
     their amount when it sets their compartment."""
     model, values = symbols.book.model, []
-    for name, value in one.values.items():
+    for name, value in given.items():
         amount = symbols.amounts.get(name)
         if amount is not None:
             value = value * named(model.getSpecies(name).getCompartment())
@@ -144,8 +145,8 @@ def _values(symbols: Symbols, one: Happening) -> tuple[tuple[str, Formula], ...]
     for species in elements(model.getListOfSpecies()):
         name, compartment = species.getId(), species.getCompartment()
         ruled = name in symbols.book.rates and not species.getHasOnlySubstanceUnits()
-        if ruled and compartment in one.values and name not in one.values:
-            values.append((name, Formula("/", (named(name) * named(compartment), one.values[compartment]))))
+        if ruled and compartment in given and name not in given:
+            values.append((name, Formula("/", (named(name) * named(compartment), given[compartment]))))
     return tuple(values)
 
 

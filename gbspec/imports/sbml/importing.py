@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from gbspec.imports.description import Channel, Conversion, Description, Function, Imported, Quantity, Report
+from gbspec.imports.description import Channel, Conversion, Description, Function, Imported, Quantity, Report, Rest
 from gbspec.imports.formulas import (
     MOST_NODES,
     ONE,
@@ -20,7 +20,7 @@ from gbspec.imports.formulas import (
     without_factor,
 )
 from gbspec.imports.sbml.book import Happening, Reaction, Term, elements, read_book
-from gbspec.imports.sbml.events import add_events, read_events
+from gbspec.imports.sbml.events import add_events, read_events, values_set
 from gbspec.imports.sbml.mathml import NotOfferedError, formula_of
 from gbspec.imports.sbml.reading import Element, omit_notes, read_model
 from gbspec.imports.sbml.rounding import inlined, to_inline, without_rounding
@@ -48,14 +48,15 @@ def import_sbml(path: Path) -> Imported:
 @dataclass(frozen=True)
 class Change:
     """What another format says of an SBML model: constants in place of some symbols, or besides them; formulas in place
-    of some constants, or besides them; other starts; what happens; and what is observed (None: everything that can
-    change)."""
+    of some constants, or besides them; other starts; what happens; what is observed (None: everything that can
+    change); and a start in a steady state, with what it sets."""
 
     constants: Mapping[str, Quantity] = field(default_factory=dict)
     assigned: Mapping[str, Formula] = field(default_factory=dict)
     starts: Mapping[str, Formula] = field(default_factory=dict)
     happenings: tuple[Happening, ...] = ()
     channels: tuple[Channel, ...] | None = None
+    rest: Rest | None = None
 
 
 def described_model(model: Element, report: Report, path: Path, change: Change | None = None) -> Description:
@@ -91,6 +92,8 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
         out.balances[state] = rate
     _quantities(symbols, out)
     add_events(symbols, out, {f.id: f for f in functions})
+    if change.rest is not None:
+        out.rest = replace(change.rest, after=values_set(symbols, dict(change.rest.after)))
     out.channels = _channels(symbols) if change.channels is None else list(change.channels)
     _with_clock(out, report, model.getLine())
     without_rounding(out, report, symbols.place)

@@ -107,6 +107,12 @@ def _draw(question: Question, constants: Mapping[sympy.Symbol, float], count: in
     signals: tuple[Condition | Input, ...] = (*model.conditions, *model.inputs)
     for item in signals:
         values[item.symbol], widths[item.symbol] = _column(item.range, item.default, count, rng)
+        if isinstance(item, Condition) and item.categories:
+            values[item.symbol], widths[item.symbol] = (
+                rng.permutation(np.arange(count) % len(item.categories)).astype(float),
+                0 * values[item.symbol],
+            )
+            continue
         for k, number in enumerate(special.get(item.symbol, ())):
             values[item.symbol][k + 1 :: 4], widths[item.symbol][k + 1 :: 4] = number, 0.0
     for dose in question.doses:

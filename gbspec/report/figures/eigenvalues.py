@@ -17,6 +17,8 @@ MOST = 400
 
 def build(source: Source) -> Figure:
     """The eigenvalues along the data, with those of the truth if there is one."""
+    if source.run.model.events:
+        raise MissingError("equations that switch at events have no eigenvalues along the data", "fit")
     found = along(source) if source.spectra is None else source.spectra
     if not found.points:
         raise MissingError("there is no point with a finite Jacobian", "fit")

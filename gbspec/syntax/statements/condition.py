@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Self
 
 from gbspec.syntax.kinds import Kind
-from gbspec.syntax.nodes import Expression, Interval, Text, UnitExpression
+from gbspec.syntax.nodes import Categories, Expression, Interval, Text, UnitExpression
 from gbspec.syntax.statements.base import Entry, Named, Place, ends, fixed
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)
 class ConditionStatement(Named):
-    """`condition Da in [0.2, 0.5] = 0.3 as "column"`."""
+    """`condition Da in [0.2, 0.5] = 0.3 as "column"`, or `condition strain in {"wild type", mutant}`."""
 
     entry = Entry(
         word="condition",
@@ -30,12 +30,13 @@ class ConditionStatement(Named):
     default: Expression | None = None
     column: Text | None = None
     description: Text | None = None
+    categories: Categories | None = None
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
         """Builds the node from `condition NAME` and its clauses."""
         found = reader.gather(children, "a condition")
-        clauses = (found.get(kind) for kind in ("unit", "range", "value", "column", "text"))
+        clauses = (found.get(kind) for kind in ("unit", "range", "value", "column", "text", "categories"))
         return cls(reader.over(children), reader.declared(children[1]), *clauses)
 
     def places(self) -> Iterator[Place]:

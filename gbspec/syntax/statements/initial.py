@@ -50,7 +50,7 @@ class InitialStatement(About, Formula):
 
 @dataclass(frozen=True)
 class SteadyStatement(Formula):
-    """`initial steady with L = 0`: all states start in a steady state."""
+    """`initial steady with L = 0 then X = 1 when C > 0`: all states start in a steady state."""
 
     entry = Entry(
         word="steady",
@@ -61,13 +61,17 @@ class SteadyStatement(Formula):
         reserved=False,
     )
     held: tuple[Assignment, ...] = ()
+    after: tuple[Assignment, ...] = ()
+    condition: Expression | None = None
     description: Text | None = None
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
         """Builds the node from `initial steady` and its clauses."""
         found = reader.gather(children, "`initial steady`")
-        return cls(reader.over(children), found.get("with", ()), found.get("text"))
+        return cls(
+            reader.over(children), found.get("with", ()), found.get("then", ()), found.get("when"), found.get("text")
+        )
 
     def declares(self) -> tuple[Name, ...]:
         """No names."""
@@ -78,6 +82,10 @@ class SteadyStatement(Formula):
         return (("initial", "steady"),)
 
     def places(self) -> Iterator[Place]:
-        """The values that are held."""
+        """The values that are held, those that states get afterwards, and for which trajectories it counts."""
         for one in self.held:
             yield Place(one.value, rules.HELD)
+        for one in self.after:
+            yield Place(one.value, rules.RESUMED)
+        if self.condition is not None:
+            yield Place(self.condition, rules.SOUGHT)

@@ -111,6 +111,12 @@ class ClauseRules(ExpressionRules):
     def range_clause(self, children: Children) -> Clause:
         return Clause(self.over(children), "range", children[-1])
 
+    def categories_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "categories", ast.Categories(self.over(children[1:]), nodes(children)))
+
+    def category_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "value", children[-1])
+
     def interpolation_clause(self, children: Children) -> Clause:
         return Clause(self.over(children), "interpolation", str(children[0]))
 
@@ -139,6 +145,9 @@ class ClauseRules(ExpressionRules):
 
     def with_clause(self, children: Children) -> Clause:
         return Clause(self.over(children), "with", nodes(children))
+
+    def then_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "then", nodes(children))
 
     def postulates_clause(self, children: Children) -> Clause:
         values = nodes(children)

@@ -27,6 +27,9 @@ class ExpressionRules(Parts):
             )
         return node
 
+    def quoted(self, children: Children) -> ast.Quoted:
+        return ast.Quoted(self.over(children), str(children[0])[1:-1].strip())
+
     def name(self, children: Children) -> ast.Name:
         (token,) = children
         name = self.name_at(token)
@@ -101,6 +104,8 @@ class ExpressionRules(Parts):
         return cast(ast.Conversion, self.nested(node, (value,)))
 
     def unit_name(self, children: Children) -> ast.UnitName:
+        if children[0].type == "PERCENT":  # the sign of a unit, known by its name everywhere else
+            return ast.UnitName(self.over(children), "percent")
         name = self.name_at(children[0])
         return ast.UnitName(name.span, name.text)
 

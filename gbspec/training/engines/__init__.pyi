@@ -3,6 +3,8 @@ from .arithmetic import torch_arithmetic as torch_arithmetic
 from .choice import Choice as Choice
 from .choice import choose as choose
 from .choice import few as few
+from .counting import Happened as Happened
+from .counting import happened as happened
 from .device import device_of as device_of
 from .engine import Engine as Engine
 from .engine import Moments as Moments

@@ -9,7 +9,7 @@ which derivatives with respect to constants and weights belong.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.ir import Model, symbol
 from gbspec.training.engines.arithmetic import observe_rows
 from gbspec.training.engines.linearised import Observed
 from gbspec.training.engines.starting import initial_states
@@ -35,14 +36,23 @@ class Columns:
         self.problem, self.parameters, self.only_local = problem, parameters, only_local
         self.device, self.theta, self.vector = device, theta, torch.from_numpy(theta).to(device)
         with torch.no_grad():
-            self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
             self.constants = parameters.constants(self.vector)
-        for name in parameters.weight_shapes:
-            # This only makes every pre-activation part of the graph; gradients of the weights are never computed.
-            self.weights[name].requires_grad_()
         self.n_states = len(problem.model.states)
         self.shared = 0 if only_local else parameters.n_shared
-        self.offsets = _layer_offsets(parameters)
+
+    @cached_property
+    def offsets(self) -> dict[tuple[int, int], tuple[int, int, int]]:
+        """Where the columns of each layer begin."""
+        return _layer_offsets(self.parameters)
+
+    @cached_property
+    def weights(self) -> dict[str, Tensor]:
+        """The networks' arrays."""
+        found = {name: value.detach().clone() for name, value in self.parameters.weights(self.vector).items()}
+        for name in self.parameters.weight_shapes:
+            # This only makes every pre-activation part of the graph; gradients of the weights are never computed.
+            found[name].requires_grad_()
+        return found
 
     def tensor(self, table: NDArray[np.generic]) -> Tensor:
         """A table on the device."""
@@ -92,6 +102,11 @@ class Columns:
     @cached_property
     def _starts(self) -> tuple[list[Tensor], Tensor | None]:
         problem = self.problem
+        if all(starts_of_data(problem.model)):
+            shape = len(self.parameters.start_value), self.n_states
+            known = [state.initial.known for state in problem.model.states]
+            free = self.tensor(np.diag(1.0 - np.array(known, dtype=np.float64))).to(self.vector.dtype)
+            return [free.expand(*shape, -1), *(self.zeros(shape) for _ in range(self.constants.shape[1]))], None
         tape: Taped = []
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
@@ -131,7 +146,15 @@ class Columns:
         seen = np.nonzero(problem.seen)
         row, channel = (self.tensor(places) for places in seen)
         owner = self.tensor(packed.row_trajectory)
-        direct = all(c.state is not None for c in problem.model.channels)
+        states = [c.state for c in problem.model.channels if c.state is not None]
+        direct = len(states) == len(problem.model.channels)
+        bounds = np.searchsorted(seen[0], np.arange(packed.rows + 1))
+        if direct:
+            d_seen = self.zeros((len(row), self.n_states))
+            d_seen[torch.arange(len(row), device=self.device), torch.tensor(states, device=self.device)[channel]] = (
+                self.tensor(scale)[row, channel].to(d_seen.dtype)
+            )
+            return Observed(row, bounds, d_seen, None, None)
         x = self.tensor(before).detach().requires_grad_()
         tape: Taped = []
         k = [column.detach().clone().requires_grad_() for column in self.constants[owner].unbind(1)]
@@ -141,25 +164,21 @@ class Columns:
         pre = [z for *_, z in tape]
         channels = out.shape[1]
         d_state = self.zeros((packed.rows, channels, self.n_states))
-        d_shared = d_local = None
-        if not direct:
-            d_shared = self.zeros((packed.rows, channels, self.shared))
-            d_local = self.zeros((packed.rows, channels, self.parameters.n_local))
+        d_shared = self.zeros((packed.rows, channels, self.shared))
+        d_local = self.zeros((packed.rows, channels, self.parameters.n_local))
         for i in range(channels):
             grads = gradients(out[:, i].sum(), [x, *k, *pre])
             d_state[:, i] = grads[0]
-            if d_shared is None or d_local is None:
-                continue
             by_constants = [g[:, None] for g in grads[1 : 1 + len(k)]]
             self.add_constants(d_shared[:, i : i + 1], d_local[:, i : i + 1], by_constants, owner)
             if not self.only_local:
                 self._add_weights(d_shared[:, i], tape, grads[1 + len(k) :])
         return Observed(
             row,
-            np.searchsorted(seen[0], np.arange(packed.rows + 1)),
+            bounds,
             d_state.detach()[row, channel],
-            None if d_shared is None else d_shared.detach()[row, channel],
-            None if d_local is None else d_local.detach()[row, channel],
+            d_shared.detach()[row, channel],
+            d_local.detach()[row, channel],
         )
 
     def _add_weights(self, target: Tensor, tape: Taped, cotangents: list[Tensor]) -> None:
@@ -169,6 +188,17 @@ class Columns:
             a, dz = a.detach().reshape(len(target), -1, width), dz.reshape(len(target), -1, rows)
             target[:, begin : begin + rows * width] += torch.bmm(dz.transpose(1, 2), a).reshape(len(target), -1)
             target[:, begin + rows * width : begin + rows * width + rows] += dz.sum(1)
+
+
+@lru_cache(maxsize=64)
+def starts_of_data(model: Model) -> tuple[bool, ...]:
+    """Whether each state's start depends neither on learned constants nor on other starts: then its derivatives are
+    known without a graph."""
+    if model.steady is not None:
+        return (False,)
+    data = {symbol(c.name) for c in (*model.constants, *model.conditions)}
+    given = [state.initial.value if state.initial.known else None for state in model.states]
+    return tuple(value is None or model.inlined([value])[0].free_symbols <= data for value in given)
 
 
 def gradients(output: Tensor, inputs: list[Tensor]) -> list[Tensor]:

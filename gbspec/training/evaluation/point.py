@@ -2,8 +2,9 @@
 
 Solutions run from the starts of the trajectories to their ends; measurements reset nothing. Steps are adaptive, first
 by a method of order 5, and by a stiff one if that finds no solution. The tolerance falls by a factor of ten until
-the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes. With events steps
-are equal, and halved: the control of adaptive steps does not see what happens within a step.
+the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes. With events
+and delays steps are equal, and halved: the control of adaptive steps sees neither what happens within a step nor the
+past.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ TOLERANCES: Mapping[str, tuple[float, ...]] = {
 }
 """The relative tolerances that are tried, method by method."""
 PARTS = (16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
-"""The numbers of equal steps that are tried for the longest trajectory, for models with events."""
+"""The numbers of equal steps that are tried for the longest trajectory, for models with events or delays."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +86,12 @@ class _Trial:
 def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluated:
     """The objective at a point. Raises ComputationError if there is no solution from the starts there."""
     reached: Evaluated | None = None
-    for method in (DOPRI5,) if model.events else (DOPRI5, STIFF):
+    for method in (DOPRI5,) if _equal_steps(model) else (DOPRI5, STIFF):
         previous: Evaluated | None = None
         for problem, trial in _trials(model, trajectories, given, method):
             if not np.isfinite(trial.mean).all():
                 previous = None
-                if model.events:
+                if _equal_steps(model):
                     continue
                 break
             found = _judged(model, problem, trial, given, method, previous)
@@ -108,6 +109,11 @@ def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluate
     return reached
 
 
+def _equal_steps(model: Model) -> bool:
+    """Whether steps are equal: those that follow a tolerance know neither events nor the past."""
+    return bool(model.events or model.delays)
+
+
 def _trials(model: Model, trajectories: Trajectories, given: Given, method: Method) -> Iterator[tuple[Problem, _Trial]]:
     """Predictions by a method at one tolerance, or by equal steps of one size, after the other."""
     module = load_module(model, method)
@@ -120,7 +126,7 @@ def _trials(model: Model, trajectories: Trajectories, given: Given, method: Meth
         scaling = scaling_of(model, packed, trajectories)
         return Problem(model, instance, packed, teacher_forcing(model, packed, 0.0), scaling)
 
-    if model.events:
+    if _equal_steps(model):
         span = max(float(item.times[-1] - item.start) for item in trajectories.items)
         problems = (posed(span / parts if span > 0 else np.inf) for parts in PARTS)
     else:

@@ -41,8 +41,13 @@ ITERATIONS = 60
 """Largest number of iterations of the inner problems."""
 AWAY = 1.5
 """How far from 0 further starts of the inner problems lie."""
-RESTS = 1e-9
-"""An inner problem has converged when its next step is shorter than this (z has the standard deviation 1)."""
+RESTS, RESTS_WITH_NETWORKS = 1e-9, 1e-6
+"""An inner problem has converged when its next step is shorter than this (z has the standard deviation 1). The error of
+-2 log L is about as large; with networks, whose fit ends at falls of a tenth, less is enough."""
+GLANCE = 8
+"""Iterations after which those of further starts are left out that lead to a minimum known already, or a higher one."""
+NEAR, HIGHER = 0.1, 3.0
+"""A minimum is known already if z is closer than NEAR, and higher if g is by more than HIGHER above the least."""
 
 
 @dataclass(frozen=True)
@@ -204,37 +209,42 @@ class Likelihood:
         """The lowest of the minima of g that are found from `z`, from 0, and from both sides of 0 along each number:
         with networks there may be several."""
         best, of = self.modes(natural, z, weights)
-        value = torch.nan_to_num(self.joint(of, best), nan=torch.inf)
+        value = self._joint(of, best)
+        other, least = best, value + HIGHER
         unit = AWAY * torch.eye(z.shape[1], dtype=z.dtype)
         for start in (0 * unit[0], *unit, *-unit) if z.shape[1] else ():
-            other, there = self.modes(natural, start.expand_as(z).clone(), weights)
-            reached = torch.nan_to_num(self.joint(there, other), nan=torch.inf)
-            better = reached < value - 1e-6
-            best, value = torch.where(better[:, None], other, best), torch.where(better, reached, value)
-            of = self._chosen(better, there, of)
-        return best, of
+            near, there = self.modes(natural, start.expand_as(z).clone(), weights, GLANCE)
+            reached = self._joint(there, near)
+            better = (reached < least) & ((near - best).abs().amax(1) > NEAR)
+            other, least = torch.where(better[:, None], near, other), torch.where(better, reached, least)
+        if other is best or bool((other == best).all()):
+            return best, of
+        other, there = self.modes(natural, other, weights)
+        better = self._joint(there, other) < value - 1e-6
+        return torch.where(better[:, None], other, best), self._chosen(better, there, of)
 
-    def modes(self, natural: Tensor, z: Tensor, weights: Array) -> tuple[Tensor, Compared]:
-        """The minima of g from `z` [N, q], side by side, and the comparison there."""
+    def modes(self, natural: Tensor, z: Tensor, weights: Array, most: int = ITERATIONS) -> tuple[Tensor, Compared]:
+        """The minima of g from `z` [N, q], side by side, and the comparison there, after at most so many iterations."""
         of = self.at(natural, z, weights)
-        value, q = self.joint(of, z), z.shape[1]
+        value, q = self._joint(of, z), z.shape[1]
         if not q:
             return z, of
         bad = ~torch.isfinite(value)
         if bool(bad.any()):  # a start from which the model cannot be solved: the median
             z = torch.where(bad[:, None], torch.zeros_like(z), z)
             of = self.at(natural, z, weights)
-            value = self.joint(of, z)
+            value = self._joint(of, z)
         damping, missing = torch.zeros(self.count, dtype=z.dtype), torch.zeros((self.count, q, q), dtype=z.dtype)
         gradient, hessian = self.half_gradient(of, z), self.expected_hessian(of)
-        for _ in range(ITERATIONS):
+        rests = RESTS_WITH_NETWORKS if len(weights) else RESTS
+        for _ in range(most):
             step, whole = _step(gradient, hessian, missing, damping)
             missing = torch.where(whole[:, None, None], missing, torch.zeros_like(missing))
-            if float(step.abs().max()) < RESTS:
+            if float(step.abs().max()) < rests:
                 break
             trial = z + step
             new = self.at(natural, trial, weights)
-            reached = self.joint(new, trial)
+            reached = self._joint(new, trial)
             # Beyond the rounding of g no further fall can be seen; there the step is that of Newton's method.
             better = (reached <= value + 1e-12 * (1 + value.abs())) & torch.isfinite(reached)
             if not bool(better.any()) and float(damping.max()) > 1e12:
@@ -247,6 +257,12 @@ class Likelihood:
             changed = _secant(missing, step, gradient - before - torch.einsum("nij,nj->ni", hessian + missing, step))
             missing = torch.where((better & torch.isfinite(changed).all(2).all(1))[:, None, None], changed, missing)
         return z, of
+
+    def _joint(self, of: Compared, z: Tensor) -> Tensor:
+        """g [units]; infinite where it or a sensitivity is not finite."""
+        value = self.joint(of, z)
+        lost = self.sums((~torch.isfinite(of.by_z)).any(1).to(value.dtype)) > 0
+        return torch.where(lost | ~torch.isfinite(value), torch.full_like(value, torch.inf), value)
 
     def _chosen(self, which: Tensor, first: Compared, second: Compared) -> Compared:
         """The first comparison for some of the trajectories, the second for the others."""

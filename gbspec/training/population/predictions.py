@@ -84,6 +84,8 @@ class Individuals:
         self.engine: Engine = choice.engine(problem, self.parameters)
         scales = [k.start for k in self.parameters.model.learnables]
         self.unit = STRETCH * np.abs(np.array(scales, dtype=np.float64))
+        # The last constants at which all solutions were finite.
+        self._safe: Array | None = None
 
     def vector(self, constants: Array, weights: Array) -> Array:
         """The engine's vector."""
@@ -93,7 +95,27 @@ class Individuals:
         return np.concatenate([weights, blocks.ravel()])
 
     def first(self, constants: Array, weights: Array, of_weights: bool = False) -> First:
-        """Predictions and derivatives; NaN where a solution is not finite."""
+        """Predictions and derivatives; NaN for the trajectories whose solution is not finite."""
+        found = self._first(constants, weights, of_weights)
+        packed = self.problem.packed
+        if np.isfinite(found.constants).all():
+            self._safe = constants.copy()
+            return found
+        owner = packed.row_trajectory[np.nonzero(self.problem.seen)[0]]
+        bad = np.zeros(packed.trajectories, dtype=np.bool_)
+        bad[owner[~np.isfinite(found.mean)]] = True
+        if self._safe is None or not bad.any() or bad.all():
+            return found
+        # Derivatives are computed for all at once: a trajectory without a solution must not take them from others.
+        rest = self._first(np.where(bad[:, None], self._safe, constants), weights, of_weights)
+        lost = bad[owner]
+        return First(
+            np.where(lost, np.nan, rest.mean),
+            np.where(lost[:, None], np.nan, rest.constants),
+            np.where(lost[:, None], np.nan, rest.weights),
+        )
+
+    def _first(self, constants: Array, weights: Array, of_weights: bool) -> First:
         theta, count = self.vector(constants, weights), int(self.problem.seen.sum())
         path = self.engine.plan(theta)
         moments = self.engine.moments(theta, path)

@@ -131,6 +131,7 @@ class MarginalLikelihood:
             step *= min(1.0, LONGEST / longest) if longest > 0 else 1.0
             new = self.objective.at(now.weights + step[:count], now.u + step[count:], now.z, ridge)
             if new.objective <= now.objective:
-                return new, promised, max(damping / 10, 1e-9)
+                # A step that was tried in vain is not tried again at once.
+                return new, promised, max(damping / (10 if trial == 0 else 3), 1e-9)
             damping = max(damping * 6, 1e-4)
         return now, promised, 1e-3

@@ -8,6 +8,7 @@ from .bounds import Bijections as Bijections
 from .delays import Echo as Echo
 from .delays import echoes as echoes
 from .division import meshed as meshed
+from .events import band_of as band_of
 from .forcing import Forcing as Forcing
 from .forcing import measured_states as measured_states
 from .forcing import teacher_forcing as teacher_forcing

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -49,29 +50,29 @@ class Bijection:
         """The map for a constant's bounds and starting value."""
         return cls(learnable.range.low, learnable.range.high, learnable.start)
 
-    @property
+    @cached_property
     def scale(self) -> float:
         """The unit of values without two bounds."""
         return abs(self.start) if self.start != 0 else 1.0
 
-    @property
+    @cached_property
     def reflecting(self) -> bool:
         """Whether the starting value is on a bound, so that the map must reach it."""
         if self.two_sided:
             return min(self.distance(self.start, bound) for bound in (self.low, self.high)) <= EDGE
         return self.start in (self.low, self.high)
 
-    @property
+    @cached_property
     def two_sided(self) -> bool:
         """Whether there are two bounds."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
-    @property
+    @cached_property
     def logarithmic(self) -> bool:
         """Whether logarithms of the (two, far apart) bounds are used."""
         return Range(self.low, self.high).logarithmic
 
-    @property
+    @cached_property
     def width(self) -> float:
         """The width of a two-sided range on its scale."""
         return math.log(self.high / self.low) if self.logarithmic else self.high - self.low

@@ -57,17 +57,17 @@ class Parameters:
                 shapes[f"network.{network.name}.{layer}.bias"] = (b,)
         return shapes
 
-    @property
+    @cached_property
     def n_weights(self) -> int:
         """Number of network weights."""
         return sum(network.parameters for network in self.model.networks)
 
-    @property
+    @cached_property
     def shared(self) -> tuple[int, ...]:
         """Indices (among the learnables) of the constants that all trajectories share."""
         return tuple(i for i, k in enumerate(self.model.learnables) if not k.per_trajectory)
 
-    @property
+    @cached_property
     def own(self) -> tuple[int, ...]:
         """Indices (among the learnables) of the constants that each trajectory has for itself."""
         return tuple(i for i, k in enumerate(self.model.learnables) if k.per_trajectory)
@@ -107,9 +107,16 @@ class Parameters:
 
     def bijections(self, indices: tuple[int, ...]) -> Bijections:
         """Bounds of some of the learnables; of those of single trajectories, what their distributions allow."""
-        return Bijections.of(tuple(self.model.learnables[i].individual for i in indices))
+        if indices not in self._bijections:
+            self._bijections[indices] = Bijections.of(tuple(self.model.learnables[i].individual for i in indices))
+        return self._bijections[indices]
 
-    @property
+    @cached_property
+    def _bijections(self) -> dict[tuple[int, ...], Bijections]:
+        """The maps that were asked for: every solution needs them."""
+        return {}
+
+    @cached_property
     def implied(self) -> Bijections:
         """Bounds of what distributions and noises imply."""
         return Bijections.of(self.model.implied)

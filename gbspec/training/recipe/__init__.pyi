@@ -18,3 +18,4 @@ from .preparation import prepare as prepare
 from .recognition_network import recognition as recognition
 from .stiffness import chosen_solver as chosen_solver
 from .stiffness import solver_of as solver_of
+from .stiffness import stiff_as_learned as stiff_as_learned

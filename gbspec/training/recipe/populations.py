@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from gbspec.training.population import (
     Marginal,
     MarginalLikelihood,
     Objective,
+    Point,
     Pooled,
     Predictions,
     modes_of,
@@ -31,16 +32,26 @@ from gbspec.training.starts import PATIENCE, Search
 
 MOST_NODES = 50_000
 """The most nodes of a quadrature over all deviations of a unit."""
+AUTOMATIC: Mapping[int, int] = {1: 9, 2: 7}
+"""Nodes in each dimension of a quadrature that the fit itself asks for, by the number of dimensions of a unit."""
+MOVES = 0.2
+"""It asks for one that would move a parameter by more than this many of its standard deviations."""
 SHOWS, SHOWS_WITH_NETWORKS = 0.02, 0.5
 """The step is halved where that changes -2 log likelihood by more than this."""
 
 
-def marginal_objective(context: Context, parameters: Parameters, fraction: float) -> Objective:
-    """The objective of a population at a fraction of the largest step."""
+def marginal_objective(context: Context, parameters: Parameters, begun: Sequence[str]) -> Objective:
+    """The objective of a population after the stages that have begun, which tell the step and the quadrature.
+
+    Raises UserError (GB787) if a quadrature was requested that takes too many solutions.
+    """
     layout = Layout(parameters)
     names = tuple(k.name for k in layout.distributed)
-    predictions = Predictions(context.problem(0.0, fraction), parameters, context.choice, names)
-    size, nodes = Groups.of(layout, predictions.problem.packed.condition).size, context.options.quadrature
+    problem = context.problem(0.0, step_fraction(begun))
+    predictions = Predictions(problem, parameters, context.choice, names)
+    size, nodes = Groups.of(layout, problem.packed.condition).size, context.options.quadrature
+    if nodes is None:
+        nodes = AUTOMATIC.get(size, 1) if StageName.QUADRATURE in begun else 1
     if nodes > 1 and nodes**size > MOST_NODES:
         solutions = f"{float(nodes) ** size:.1g}"
         message = f"quadrature with {nodes} nodes in each of {size} dimensions takes {solutions} solutions"
@@ -68,13 +79,7 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
     check_starts(context)
     effort = context.options.effort
     pooled = pooled_parameters(parameters)
-    most = most_iterations(StageName.MARGINAL, effort)
-    objectives: dict[float, Objective] = {}
-
-    def objective(fraction: float) -> Objective:
-        if fraction not in objectives:
-            objectives[fraction] = marginal_objective(context, parameters, fraction)
-        return objectives[fraction]
+    likelihoods = _Likelihoods(context, parameters)
 
     def search(reached: Reached) -> Stage:
         engine, forced = (context.engine(pooled, blend) for blend in (0.0, 1.0))
@@ -89,36 +94,82 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
         inner = LevenbergMarquardt(StageName.POOLED.value, total, lambda iteration: engine, options)
         return Pooled(inner, engine, parameters)
 
-    def maximised(name: StageName, fraction: float) -> Stage:
-        def failure(theta: Array) -> Exception:
-            return explain_failure(context.problem(0.0, fraction), parameters, theta, name.value)
-
-        return MarginalLikelihood(name.value, most, parameters, objective(fraction), _ridge(context), failure)
-
-    def finer(number: int) -> Planned:
-        def shows(reached: Reached) -> bool:
-            if context.options.max_step is not None or list(reached.begun).count(StageName.FINER) != number - 1:
-                return False
-            fraction, limit = step_fraction(reached.begun), SHOWS_WITH_NETWORKS if parameters.n_weights else SHOWS
-            return (
-                abs(_at(objective(fraction / 2), parameters, reached) - _at(objective(fraction), parameters, reached))
-                > limit
-            )
-
-        def make(reached: Reached) -> Stage:
-            return maximised(StageName.FINER, step_fraction(reached.begun) / 2)
-
-        return Planned(StageName.FINER, most, make, possible=shows)
-
     first = (
         Planned(StageName.POOLED, most_iterations(StageName.POOLED, effort), least_squares)
         if parameters.n_weights
         else Planned(StageName.SEARCH, PATIENCE[effort].improved, search)
     )
-    last = Planned(
-        StageName.MARGINAL, most, lambda reached: maximised(StageName.MARGINAL, step_fraction(reached.begun))
-    )
-    return [first, last, *(finer(number) for number in range(1, HALVINGS[effort] + 1))]
+    finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
+    return [first, likelihoods.marginal(), *finer, likelihoods.quadrature()]
+
+
+class _Likelihoods:
+    """The stages that maximise the marginal likelihood, whose objectives follow from the stages that have begun."""
+
+    def __init__(self, context: Context, parameters: Parameters) -> None:
+        self._context, self._parameters = context, parameters
+        self._most = most_iterations(StageName.MARGINAL, context.options.effort)
+        self._objectives: dict[tuple[float, bool], Objective] = {}
+
+    def marginal(self) -> Planned:
+        """Laplace's method, or the quadrature that was requested."""
+
+        def make(reached: Reached) -> Stage:
+            return self._maximised(StageName.MARGINAL, *reached.begun)
+
+        return Planned(StageName.MARGINAL, self._most, make)
+
+    def finer(self, number: int) -> Planned:
+        """The same at half the step, where that changes the likelihood."""
+        options, weights = self._context.options, self._parameters.n_weights
+
+        def shows(reached: Reached) -> bool:
+            if options.max_step is not None or list(reached.begun).count(StageName.FINER) != number - 1:
+                return False
+            now, half = self._objective(*reached.begun), self._objective(*reached.begun, StageName.FINER)
+            change = self._at(half, reached).minus2ll - self._at(now, reached).minus2ll
+            return abs(change) > (SHOWS_WITH_NETWORKS if weights else SHOWS)
+
+        def make(reached: Reached) -> Stage:
+            return self._maximised(StageName.FINER, *reached.begun, StageName.FINER)
+
+        return Planned(StageName.FINER, self._most, make, possible=shows)
+
+    def quadrature(self) -> Planned:
+        """Quadrature, where it was not fixed and moves a parameter."""
+        options, weights = self._context.options, self._parameters.n_weights
+
+        def moves(reached: Reached) -> bool:
+            if options.quadrature is not None or weights or options.effort == "low":
+                return False
+            whole = self._objective(*reached.begun, StageName.QUADRATURE)
+            return whole.marginal.nodes > 1 and _moves(whole, self._at(whole, reached))
+
+        def make(reached: Reached) -> Stage:
+            return self._maximised(StageName.QUADRATURE, *reached.begun, StageName.QUADRATURE)
+
+        return Planned(StageName.QUADRATURE, self._most, make, possible=moves)
+
+    def _objective(self, *begun: str) -> Objective:
+        key = step_fraction(begun), StageName.QUADRATURE in begun
+        if key not in self._objectives:
+            self._objectives[key] = marginal_objective(self._context, self._parameters, begun)
+        return self._objectives[key]
+
+    def _maximised(self, name: StageName, *begun: str) -> Stage:
+        context, parameters = self._context, self._parameters
+
+        def failure(theta: Array) -> Exception:
+            return explain_failure(context.problem(0.0, step_fraction(begun)), parameters, theta, name.value)
+
+        ridge = _ridge(context)
+        return MarginalLikelihood(name.value, self._most, parameters, self._objective(*begun), ridge, failure)
+
+    def _at(self, objective: Objective, reached: Reached) -> Point:
+        """The point that has been reached."""
+        theta, parameters, layout = reached.theta, self._parameters, objective.layout
+        z = modes_of(parameters, objective.marginal.likelihood, theta)
+        return objective.at(theta[: parameters.n_weights], theta[layout.slice()], z, 0.0, afresh=True)
 
 
 def _ridge(context: Context) -> float | None:
@@ -129,8 +180,11 @@ def _ridge(context: Context) -> float | None:
     return float(1 / (context.options.ridge**2 * np.mean(initial**2)))
 
 
-def _at(objective: Objective, parameters: Parameters, reached: Reached) -> float:
-    """Minus twice the log likelihood at what has been reached."""
-    theta, layout = reached.theta, objective.layout
-    z = modes_of(parameters, objective.marginal.likelihood, theta)
-    return objective.at(theta[: parameters.n_weights], theta[layout.slice()], z, 0.0, afresh=True).minus2ll
+def _moves(objective: Objective, point: Point) -> bool:
+    """Whether a scoring step moves a parameter by more than MOVES of its standard deviations."""
+    if not np.isfinite(point.minus2ll):
+        return False
+    # The expected Hessian is that of -2 log L: twice its inverse is the covariance.
+    inverse = np.linalg.pinv(objective.curvature(point, 0.0), hermitian=True)
+    step, sd = inverse @ objective.gradient(point, 0.0), np.sqrt(2 * np.maximum(np.diag(inverse), 0.0))
+    return bool(np.isfinite(step).all() and (np.abs(step) > MOVES * sd).any())

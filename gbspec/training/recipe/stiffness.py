@@ -19,7 +19,7 @@ from gbspec.data import Trajectories, evenly_spaced
 from gbspec.ir import AUTO, DOPRI5, RK4, STIFF, Model
 from gbspec.training.engines import rate_slopes, torch_arithmetic
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Parameters, default_max_step
+from gbspec.training.problem import Integers, Parameters, Problem, default_max_step
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.preparation import initial
 from gbspec.training.recipe.stages import imputed_forcing
@@ -36,6 +36,8 @@ UNSOLVED, BETTER = 0.2, 0.9
 explicit one; their best loss must be below this share of the best one there."""
 LOOKED_AT = 8
 """Most trajectories that are looked at."""
+MOST_ROWS = 2000
+"""About how many rows of a fit are looked at."""
 
 
 def solver_of(options: TrainOptions) -> str:
@@ -52,7 +54,7 @@ def chosen_solver(
     Likelihoods (of innovations, or of a population) and models with events or delays are computed with the explicit
     one, so are those with algebraic variables, where draws of constants are costly.
     """
-    if model.diffusions or model.marginal or model.events or model.algebraics or model.delays:
+    if not _may_be_stiff(model):
         return solver_of(options), None
     step = options.max_step if options.max_step is not None else default_max_step(trajectories)
     steps, rows = _fixed_steps(trajectories, step)
@@ -116,17 +118,49 @@ def decays(context: Context, parameters: Parameters, theta: Array) -> Array:
     have no finite derivatives are left out."""
     problem = context.problem()
     packed, curves = problem.packed, imputed_forcing(context, problem)
-    vector, owner = torch.from_numpy(theta), packed.row_trajectory
-    starts = parameters.starts(vector).numpy()
-    states = np.where(curves.weight > 0, curves.value, starts[owner])
+    starts = parameters.starts(torch.from_numpy(theta)).numpy()
+    states = np.where(curves.weight > 0, curves.value, starts[packed.row_trajectory])
+    return _fastest(problem, parameters, theta, states, np.arange(packed.rows))
+
+
+def _fastest(problem: Problem, parameters: Parameters, theta: Array, states: Array, rows: Integers) -> Array:
+    """The rates of the fastest modes at the states [R, n_states] of some key rows, as from `decays`."""
+    packed, vector = problem.packed, torch.from_numpy(theta)
+    owner = packed.row_trajectory[rows]
     constants = tuple(parameters.constants(vector)[owner].unbind(1))
     networks = problem.module.torch_networks(parameters.weights(vector))
     condition = torch.from_numpy(packed.condition)[owner]
     rhs = problem.module.equations.field(torch_arithmetic(problem.module), condition, constants, networks)
-    found = rate_slopes(rhs, *map(torch.from_numpy, (packed.row_time, states, packed.row_inputs))).detach().numpy()
+    at = map(torch.from_numpy, (packed.row_time[rows], states[rows], packed.row_inputs[rows]))
+    found = rate_slopes(rhs, *at).detach().numpy()
     found = found[np.isfinite(found).all(axis=(1, 2))]
     if not found.size:
         return np.zeros(0)
     modes = np.linalg.eigvals(found)
     fastest = modes[np.arange(len(modes)), np.abs(modes).argmax(axis=1)]
     return np.where(fastest.real < 0, np.abs(fastest), 0.0)
+
+
+def stiff_as_learned(
+    context: Context, problem: Problem, parameters: Parameters, theta: Array, fraction: float, states: Array
+) -> list[str]:
+    """A sentence if the equations are stiff for the fixed steps of a fit at its `states` [R, n_states], with the
+    functions that were learned: their slope does not show before the fit."""
+    model = context.model
+    if context.adaptive or not _may_be_stiff(model):
+        return []
+    rows = np.arange(problem.packed.rows)[:: max(1, problem.packed.rows // MOST_ROWS)]
+    rates = _fastest(problem, parameters, theta, states, rows[np.isfinite(states[rows]).all(axis=1)])
+    fast, step = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0, context.max_step * fraction
+    if not step * fast > LIMIT:
+        return []
+    return [
+        f"as learned, the equations are stiff: at its solutions they have rates of {fast:.3g}, which times the step of "
+        f"{step:.3g} is {step * fast:.3g}, and an explicit method is stable up to {LIMIT}; fit again with `--solver "
+        f"{STIFF.name}`, or with a smaller `--max-step`"
+    ]
+
+
+def _may_be_stiff(model: Model) -> bool:
+    """Whether the stiff solver is offered for a model."""
+    return not (model.diffusions or model.marginal or model.events or model.algebraics or model.delays)

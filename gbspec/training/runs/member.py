@@ -24,6 +24,7 @@ from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
 from gbspec.training.runs.disturbed import certainties, summarise
+from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import Position, checkpoint, restored
 from gbspec.training.runs.remarks import Exact, Remarks
@@ -40,6 +41,9 @@ SAVING_SHARE = 0.05
 
 NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AGAIN, StageName.WHOLE_STARTS})
 """Stages that prepare a fit; alone they are no result."""
+
+MAYBE = frozenset({StageName.FINER, StageName.QUADRATURE})
+"""Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
 """Stages whose tolerance is at most this are expected to converge; the size of the next step is the criterion."""
@@ -290,7 +294,7 @@ class _Runner:
         converge earlier."""
         position = self.position
         pace = stage_seconds / max(position.iteration, 1)
-        later = sum(p.total for p in self.plan[position.stage + 1 :] if p.name is not StageName.FINER)
+        later = sum(p.total for p in self.plan[position.stage + 1 :] if p.name not in MAYBE)
         return pace * (max(stage.total - position.iteration, 0) + later)
 
     # ---------------------------------------------------------------- files
@@ -304,7 +308,7 @@ class _Runner:
         if position.finished and self.context.model.marginal:
             ridge = float(position.ridge)
             result, found = with_population(
-                result, self.context, self.parameters, position.best, step_fraction([s.name for s in fitted]), ridge
+                result, self.context, self.parameters, position.best, [s.name for s in fitted], ridge
             )
             result.population, result.objective = found.record, found.objective
             found.tables.write(self.directory)
@@ -334,7 +338,11 @@ class _Runner:
         if position.finished and not self.context.model.marginal:
             names = [stage.name for stage in fitted]
             known = certainties(self.context, self.parameters, position.best, names, instance)
-            known.widened(factor).write(self.directory)
+            known = known.widened(factor)
+            known.write(self.directory)
+            if self.context.model.events:
+                engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
+                result.left += said_of_events(engine, position.best, known.covariance)
         result.history = list(position.history)
         if not self.context.model.marginal:
             for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):

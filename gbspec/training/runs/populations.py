@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,10 +28,11 @@ class Described:
 
 
 def with_population(
-    result: MemberResult, context: Context, parameters: Parameters, theta: Array, fraction: float, ridge: float
+    result: MemberResult, context: Context, parameters: Parameters, theta: Array, begun: Sequence[str], ridge: float
 ) -> tuple[MemberResult, Described]:
-    """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates."""
-    objective = marginal_objective(context, parameters, fraction)
+    """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates.
+    `begun`: the names of the stages that led to `theta`."""
+    objective = marginal_objective(context, parameters, begun)
     layout = objective.layout
     modes = modes_of(parameters, objective.marginal.likelihood, theta)
     found = result_at(objective, theta[: parameters.n_weights], theta[layout.slice()], modes, ridge)
@@ -77,14 +79,19 @@ def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecor
 
 def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
     """What the weights file says of the distribution: the names, and the factor B of the deviations' covariance, in
-    which those of groups are part: further trajectories belong to unseen groups."""
+    which those of groups are part: further trajectories belong to unseen groups. With groups also the factor of what is
+    not shared, and for each shared deviation the place of its constant, the column, and the standard deviation."""
     layout = objective.layout
     with torch.no_grad():
         factor = layout.factor(layout.natural(torch.from_numpy(found.point.u))).numpy()
+    more: dict[str, object] = {}
     if layout.levels:
+        width = len(layout.distributed)
+        shared = [(k, level.column, float(factor[k, width + j])) for j, (k, level) in enumerate(layout.levels)]
+        more = {"own": factor[:, :width].tolist(), "groups": shared}
         values, vectors = np.linalg.eigh(factor @ factor.T)
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    return {"names": [k.name for k in layout.distributed], "factor": factor.tolist()}
+    return {"names": [k.name for k in layout.distributed], "factor": factor.tolist(), **more}
 
 
 def _correlations(covariance: Array) -> Array:

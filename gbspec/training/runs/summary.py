@@ -24,7 +24,7 @@ from gbspec.training.problem import (
     measured_only,
     residuals_of,
 )
-from gbspec.training.recipe import Context, astray, held_out_solutions, step_fraction
+from gbspec.training.recipe import Context, astray, held_out_solutions, step_fraction, stiff_as_learned
 from gbspec.training.stages import StageName
 
 
@@ -111,7 +111,11 @@ def summarise(
         solution.initial.copy(),
         list(context.packed().labels),
         failed,
-        left=[*_left(model, solution), *only_at_its_step(context, parameters, theta, fraction, failed)],
+        left=[
+            *_left(model, solution),
+            *only_at_its_step(context, parameters, theta, fraction, failed),
+            *stiff_as_learned(context, problem, parameters, theta, fraction, solution.before),
+        ],
         own=own,
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),

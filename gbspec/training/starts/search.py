@@ -17,7 +17,7 @@ from gbspec.arrays import Array
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
-from gbspec.training.engines import Engine, explain_failure, residual_table, residual_vector
+from gbspec.training.engines import Engine, explain_failure, happened, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
@@ -116,7 +116,13 @@ class Search:
             "found": np.zeros(0),
             "survived": np.array(float(np.isfinite(losses).sum())),
             "drawn": np.array(float(len(losses))),
+            "endless": np.array(float(sum(self._endless(candidates[i]) for i in np.flatnonzero(~np.isfinite(losses))))),
         }
+
+    def _endless(self, theta: Array) -> bool:
+        """Whether events follow each other without end at a vector from which the model cannot be solved."""
+        found = happened(self.engine, theta)
+        return found is not None and bool(found.endless.any())
 
     def losses(self, theta: Array) -> tuple[Array, Array]:
         """The points from which the search starts [n, size], and their losses; not finite without a solution."""
@@ -147,8 +153,10 @@ class Search:
         done = enough or iteration + 1 >= len(starts)
         if done:
             theta, best = self._best_of_own(theta, best)
+        endless = int(state.get("endless", 0))
+        why = f" (in {endless} events follow each other without end)" if endless else ""
         remark = (
-            f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved, {len(found)} improved, "
+            f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {len(found)} improved, "
             f"the best minimum found {count} time{'' if count == 1 else 's'}"
         )
         new: State = state | {"theta": theta, "best": np.array(best), "found": found}

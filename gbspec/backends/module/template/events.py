@@ -20,6 +20,7 @@ from gbspec.backends.module.template.vectors import _tensor
 _CASCADE = 100  # most events at one time
 _CLOSE = 100  # most times of events in one step
 _SHORT = 20  # most of them that follow each other within the band
+_FALLING, _NEAR = 6, 1e5  # so many ever shorter intervals, the last one less than this many bands, have no end
 
 
 class _Events:
@@ -47,26 +48,31 @@ class _Events:
         if pending.any():
             x, on, turn = self._happen(span, at, x, pending, on, turn)
             rated = None
-        short = torch.zeros_like(at)
+        gaps = _Gaps(at, self.band)
         for _ in range(_CLOSE):
             with torch.no_grad():
                 wait, last = self._waits(span, at.detach(), left.detach(), x.detach(), on, turn, rated)
                 rated, first = None, wait.amin(-1)
-                found = torch.isfinite(first)
-                short = torch.where(found & (first <= self.band), short + 1, torch.zeros_like(short))
-                found = found & (short <= _SHORT)
-            if (short > _SHORT).any():
-                break
+                found = gaps.bounded(first)
             if not found.any():
-                return span.step(at, left, x, self.given) if torch.is_grad_enabled() or last is None else last
+                end = span.step(at, left, x, self.given) if torch.is_grad_enabled() or last is None else last
+                return self._without(gaps.endless, end, at)
             size = torch.where(found, torch.where(found, first, torch.zeros_like(first)), left)
             shift = self._correction(span, at, size, x, wait, turn, found)
             x = span.step(at, size + shift, x, self.given)
             at, left = at + size + shift, torch.where(found, left - size - shift, torch.zeros_like(left))
             pending = found.unsqueeze(-1) & (wait <= (first + 0.01 * self.band).unsqueeze(-1))
             x, on, turn = self._happen(span, at, x, pending, on, turn)
-        self._tell("events follow each other at ever shorter intervals", at)
-        return torch.where((found | (short > _SHORT)).unsqueeze(-1), torch.full_like(x, float("nan")), x)
+        return self._without(found | gaps.endless, x, at)
+
+    def _without(self, endless: Any, x: Any, at: Any) -> Any:
+        """The states, NaN in the rows in which events follow each other without end."""
+        import torch
+
+        if not endless.any():
+            return x
+        self._tell("events follow each other at ever shorter intervals", at[endless])
+        return torch.where(endless.unsqueeze(-1), torch.full_like(x, float("nan")), x)
 
     def _tell(self, trouble: str, at: Any) -> None:
         self.trouble = trouble
@@ -283,6 +289,33 @@ class _Span:
         grid = self._equations.grid(m, time, size)
         u = tuple(self.inputs(node) for node in grid[0])
         return self._equations.step(m, self._equations.field(m, *given), grid, x, u)
+
+
+class _Gaps:
+    """The intervals between events within a step, and the rows in which these have no end.
+
+    Where each one is shorter than the one before, rounding would hide the next events long before they are as short as
+    the band; a ball would fall through the floor.
+    """
+
+    def __init__(self, like: Any, band: float) -> None:
+        import torch
+
+        self.band, self.last = band, torch.full_like(like, torch.inf)
+        self.short, self.falling, self.endless = (torch.zeros_like(like, dtype=torch.int64) for _ in range(3))
+        self.endless = self.endless > 0
+
+    def bounded(self, first: Any) -> Any:
+        """Where there is a next event, after the time `first`, and its row has an end."""
+        import torch
+
+        found = torch.isfinite(first)
+        self.short = torch.where(found & (first <= self.band), self.short + 1, 0)
+        self.falling = torch.where(found & (first < 0.99 * self.last), self.falling + 1, 0)
+        near = (self.falling > _FALLING) & (first <= _NEAR * self.band)
+        self.endless = self.endless | (self.short > _SHORT) | (found & near)
+        self.last = first
+        return found & ~self.endless
 
 
 class _Search:

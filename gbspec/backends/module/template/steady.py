@@ -135,15 +135,37 @@ def _torch_jacobian(function: Callable[[Any], Any], z: Any) -> Any:
 def _steady_start(
     equations: Any, m: Any, start: Any, condition: Any, inputs: Any, constants: Any, networks: Any, search: Any = None
 ) -> tuple[Any, dict[int, tuple[int, str]]]:
-    """Starts [P, n] with steady states in place of the declared ones, torch, NaN where there is none.
+    """Starts [P, n] with steady states in place of the declared ones where the model starts so, torch, NaN where there
+    is none.
 
     Differentiable (twice) by the implicit function theorem: two corrections with the fixed Jacobian of the solution.
     `search(run)` may keep what `run(networks)` finds with these networks: the solutions and failures.
     """
     import torch
 
+    chosen = _tensor(equations.steady(m, condition, inputs, constants)[3], start).expand(len(start))
+    rows = torch.nonzero(chosen.detach() > 0)[:, 0]
+    some = len(rows) < len(start)
+    given = start, condition, inputs
+    if some:
+        given = start[rows], condition[rows], inputs[rows]
+        constants = tuple(value if value.ndim == 0 else value[rows] for value in constants)
+    found, failed = _rested(equations, m, *given, constants, networks, search) if len(rows) else (start[rows], {})
+    if hasattr(equations, "resumed"):
+        found = equations.resumed(m, found, given[1], constants)
+    if some:
+        found = start.index_copy(0, rows, found)
+    return found, {int(rows[row]): reason for row, reason in failed.items()}
+
+
+def _rested(
+    equations: Any, m: Any, start: Any, condition: Any, inputs: Any, constants: Any, networks: Any, search: Any
+) -> tuple[Any, dict[int, tuple[int, str]]]:
+    """The same of rows that all start so, and before states are set to other values."""
+    import torch
+
     free = list(equations.steady_states)
-    condition, inputs, rows = equations.steady(m, condition, inputs, constants)
+    condition, inputs, rows, _ = equations.steady(m, condition, inputs, constants)
     time = _tensor(0.0, start)
 
     def slopes(z: Any, called: Any) -> Any:

@@ -18,7 +18,7 @@ from gbspec.training.engines.native.control import Planner
 from gbspec.training.engines.native.gradient import HalfSquares
 from gbspec.training.engines.native.inputs import KernelInputs, Latest
 from gbspec.training.engines.native.jacobian import jacobian
-from gbspec.training.engines.native.kernel import Kernel, Swept
+from gbspec.training.engines.native.kernel import Counts, Kernel, Swept
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.torch import planned
 from gbspec.training.problem import Integers, Parameters, Path, Problem, residual_slopes
@@ -56,6 +56,11 @@ class NativeEngine:
             mean = self._observed(vector, before, inputs.constants)
         return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())
 
+    def happened(self, theta: Array, path: Path) -> tuple[Counts, Counts]:
+        """How often each event happens in each trajectory [N, events], and whether events have no end in it [N]."""
+        swept = self.kernel.sweep(self.tables(path), self._latest.at(self.problem, self.parameters, theta), False)
+        return swept.happened, swept.endless
+
     def _observed(self, vector: Tensor, before: Array, constants: Tensor) -> Array:
         """The channels at the key rows [R, C], from the states there."""
         channels = self.problem.model.channels
@@ -70,7 +75,9 @@ class NativeEngine:
     def jacobian(self, theta: Array, path: Path, moments: Moments, scale: Array, only_local: bool = False) -> Jacobian:
         """The exact derivatives of the means."""
         columns = Columns(self.problem, self.parameters, theta, only_local)
-        return jacobian(columns, self.kernel, self.tables(path), moments, columns.observed(moments.before, scale))
+        inputs = self._latest.at(self.problem, self.parameters, theta)
+        observed = columns.observed(moments.before, scale)
+        return jacobian(columns, self.kernel, inputs, self.tables(path), moments, observed)
 
     def pullback(self, theta: Array, path: Path, cotangent: Array, by: Integers | None = None) -> Array:
         """The product of a cotangent with the Jacobian of the means."""

@@ -44,13 +44,21 @@ class Intervals:
     """The intervals that end at the key rows of a problem, at one vector with the given `moments`."""
 
     def __init__(
-        self, problem: Problem, kernel: Kernel, parameters: Parameters, theta: Array, tables: Tables, moments: Moments
+        self,
+        columns: Columns,
+        kernel: Kernel,
+        inputs: KernelInputs,
+        tables: Tables,
+        moments: Moments,
     ) -> None:
+        problem, parameters = columns.problem, columns.parameters
         self.problem, self.kernel, self.parameters, self.tables = problem, kernel, parameters, tables
-        vector = torch.from_numpy(theta)
+        self.inputs, vector = inputs, torch.from_numpy(columns.theta)
+        unused = np.zeros(len(inputs.weights))  # without columns of weights nothing is converted
         with torch.no_grad():
-            self.inputs = KernelInputs.of(problem, parameters, vector)
-            self.factor, self.shift = _trained(problem, parameters, theta)
+            self.factor, self.shift = (
+                _trained(problem, parameters, columns.theta) if columns.shared else (unused, unused)
+            )
         packed = self.tables.packed
         self.first = packed.first_step
         self.steps = (packed.row_step - self.first).astype(np.int64)
@@ -112,10 +120,12 @@ class Intervals:
             begin = end
 
 
-def jacobian(columns: Columns, kernel: Kernel, tables: Tables, moments: Moments, observed: Observed) -> Jacobian:
+def jacobian(
+    columns: Columns, kernel: Kernel, inputs: KernelInputs, tables: Tables, moments: Moments, observed: Observed
+) -> Jacobian:
     """Derivatives of the measured values; the native kernel computes those of intervals and chains them."""
     problem, parameters, packed = columns.problem, columns.parameters, columns.problem.packed
-    intervals = Intervals(problem, kernel, parameters, columns.theta, tables, moments)
+    intervals = Intervals(columns, kernel, inputs, tables, moments)
     # Every row is written once; for large data sets this is by far the largest array.
     shared = np.empty((len(observed.row), columns.shared))
     local = np.empty((len(observed.row), parameters.n_local))

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.backends import TILE, CompilerError, GeneratedModule, Library, NotCoveredError, Precision, Struct, source
+from gbspec.backends import CompilerError, GeneratedModule, Library, NotCoveredError, Precision, Struct, source
 from gbspec.ir import METHODS, RK4, Method, Model
 from gbspec.training.engines.engine import Lack, Unable
 from gbspec.training.engines.native.inputs import KernelInputs
+from gbspec.training.engines.native.searches import source_with, with_searches
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.native.threads import shared_out, workspace
 from gbspec.training.problem import Integers
+
+Counts = NDArray[np.int32]
 
 SHARES = 8
 """Number of shares of the work per thread."""
@@ -26,7 +30,8 @@ class Swept:
 
     `residuals` [R, C], `states` at the key rows before resets [R, n_states]; gradients by weights [W], learnable
     constants [N, n_learnables], initial states [N, n_states], amounts of doses [E] and, if lags are learned, their
-    times of arrival [E] (zeros if no gradient was requested).
+    times of arrival [E] (zeros if no gradient was requested). `happened` [N, events]: how often each event happens;
+    `endless` [N]: whether events follow each other without end.
     """
 
     residuals: Array
@@ -36,17 +41,21 @@ class Swept:
     d_initial: Array
     d_amounts: Array
     d_times: Array
+    happened: Counts = field(init=False)
+    endless: Counts = field(init=False)
 
     @classmethod
-    def zeros(cls, tables: Tables, weights: int, learnables: int) -> Swept:
+    def zeros(cls, tables: Tables, weights: int, learnables: int, events: int) -> Swept:
         """Results of zeros, to be filled by a call for some tables."""
         n, rows = len(tables.steps), tables.shape[0]
         shapes = (tables.shape, (rows, tables.states), weights, (n, learnables), (n, tables.states))
-        return cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals)))
+        found = cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals)))
+        found.happened, found.endless = np.zeros((n, events), dtype=np.int32), np.zeros(n, dtype=np.int32)
+        return found
 
     def filled_by(self, library: Library) -> Struct:
         """The kernel's argument: the arrays into which all shares of a call write."""
-        names = ("residuals", "states", "d_constants", "d_initial", "d_amounts", "d_times")
+        names = ("residuals", "states", "d_constants", "d_initial", "d_amounts", "d_times", "happened", "endless")
         return library.struct("Outputs", **{name: getattr(self, name) for name in names})
 
 
@@ -59,8 +68,9 @@ class Kernel:
 
     def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4) -> None:
         self.model, self.precision = model, precision
-        self.library = Library(source(model, precision, method))
-        self.plans = precision == "float64" and method.b_error is not None
+        plain, searches = with_searches(model)
+        self.library = Library(source_with(source(plain, precision, method), model, searches))
+        self.plans = precision == "float64" and method.b_error is not None and not model.events
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""
@@ -81,8 +91,8 @@ class Kernel:
         residuals' Jacobian.
         """
         order = tables.order if index is None else index[np.argsort(-tables.steps[index], kind="stable")]
-        out = Swept.zeros(tables, len(inputs.weights), len(self.model.learnables))
-        tiles = -(-len(order) // TILE)
+        out = Swept.zeros(tables, len(inputs.weights), len(self.model.learnables), len(self.model.events))
+        tiles = -(-len(order) // self.library.sizes["TILE"])
         threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
         # More shares than threads, so that a thread that is held up leaves work to the others. Each share has its own
         # sums, which are added in order, so that the result does not depend on which thread processed which share.

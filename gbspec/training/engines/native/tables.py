@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gbspec.backends import Library, Struct
 from gbspec.ir import Model
-from gbspec.training.problem import Integers, Path, Problem
+from gbspec.training.problem import Integers, Path, Problem, band_of
 
 
 class Tables:
@@ -33,6 +33,7 @@ class Tables:
             "factor": problem.factor,
             "value": problem.forcing.value,
             "weight": problem.forcing.weight,
+            "band": np.array([band_of(packed)]) if problem.model.events else None,
             "logarithmic": problem.scaling.log.astype(np.int32),
             "side": None if problem.censored is None else problem.censored.side.astype(np.int32),
             "level": None if problem.censored is None else problem.censored.level.astype(np.float64),

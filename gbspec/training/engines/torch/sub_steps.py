@@ -14,7 +14,7 @@ from gbspec.backends import Networks, Value
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
-from gbspec.training.problem import Integers, Path, Problem
+from gbspec.training.problem import Integers, Path, Problem, band_of
 
 
 @dataclass(frozen=True)
@@ -156,10 +156,6 @@ class Cutting(Protocol):
         """The states after a step."""
 
 
-BAND = 1e-10
-"""Within this share of the longest step of its end a step leaves events to the next one, after what arrives there."""
-
-
 def cutting(
     problem: Problem, condition: Value, k: Sequence[Tensor], networks: Networks, quiet: Networks
 ) -> Cutting | None:
@@ -167,9 +163,7 @@ def cutting(
     if not problem.model.events:
         return None
     given, found = (condition, tuple(k), networks), tuple(value.detach() for value in k)
-    made: Cutting = problem.module.equations.cutting(
-        given, (condition, found, quiet), BAND * problem.packed.max_step, False
-    )
+    made: Cutting = problem.module.equations.cutting(given, (condition, found, quiet), band_of(problem.packed), False)
     return made
 
 

@@ -1,0 +1,314 @@
+/* Sub-steps that are cut where events happen. `gbspec/backends/module/template/events.py` does
+   the same for the torch graph: the same search, so that both have the same times; a test compares the two. */
+
+#if TILE != 1
+#error "events need one trajectory at a time"
+#endif
+#define EPSILON 2.220446049250313e-16
+
+/* ---------------------------------------------------------------- the sub-step and steps within it */
+
+static void open_crossing(const Work *w, int64_t s, Crossing *c) {
+    const Data *d = w->data;
+    const int64_t place = w->first[0] + s, at = w->who[0] * d->depth + place;
+    c->begin = d->t[at];
+    c->length = d->h[at];
+    c->unit = c->length != 0 ? c->length : 1;
+    c->tick = 1e-6 * c->unit;
+    c->origin = d->t[w->who[0] * d->depth];
+    c->band = *d->band;
+    for (int j = 0; j < INPUTS; j++) {
+        c->first[j] = d->inputs[at * NODES * INPUTS + j];
+        c->last[j] = d->inputs[(at * NODES + NODES - 1) * INPUTS + j];
+        c->before[j] = place ? d->inputs[((at - 1) * NODES + NODES - 1) * INPUTS + j] : c->first[j];
+    }
+    c->count = c->fired_count = c->endless = 0;
+}
+
+static void inputs_within(const Crossing *c, double time, real *u) {
+    for (int j = 0; j < INPUTS; j++) u[j] = R(c->first[j] + (time - c->begin) / c->unit * (c->last[j] - c->first[j]));
+}
+
+/* A step of the method from some time within; its Runge-Kutta stages stay in the first places of the work space. */
+static void step_within(Work *w, const Crossing *c, double at, double size, const real *x, real *end) {
+    real sum[STATES], u[INPUTS + 1], time[1];
+    real (*k)[STATES] = (real(*)[STATES])w->rates;
+    for (int q = 0; q < STAGES; q++) {
+        real *place = w->states + (size_t)q * STATES;
+        zero(sum, STATES);
+        add_weighted(q, TABLEAU_A[q], k, sum);
+        for (int i = 0; i < STATES; i++) place[i] = x[i] + R(size) * sum[i];
+        time[0] = R(at + TABLEAU_C[q] * size);
+        inputs_within(c, at + TABLEAU_C[q] * size, u);
+        rhs_forward(w, (size_t)q, place, time, u, k[q]);
+    }
+    zero(sum, STATES);
+    add_weighted(STAGES, TABLEAU_B, k, sum);
+    for (int i = 0; i < STATES; i++) end[i] = x[i] + R(size) * sum[i];
+}
+
+/* ---------------------------------------------------------------- conditions */
+
+static void guards_at(Work *w, const Crossing *c, double time, const real *x, real *guard) {
+    real u[INPUTS + 1], now[1] = {R(time)};
+    inputs_within(c, time, u);
+    guards_forward(w, 0, x, now, u, guard);
+}
+
+/* The guards at a state, and their rates of change, by a difference, since no result contains them. */
+static void rated(Work *w, const Crossing *c, double time, const real *x, real *guard, real *rates) {
+    real u[INPUTS + 1], speed[STATES], ahead[STATES], now[1] = {R(time)};
+    inputs_within(c, time, u);
+    rhs_forward(w, 0, x, now, u, speed);
+    guards_forward(w, 0, x, now, u, guard);
+    for (int i = 0; i < STATES; i++) ahead[i] = x[i] + R(c->tick) * speed[i];
+    guards_at(w, c, time + c->tick, ahead, rates);
+    for (int j = 0; j < GUARDS; j++) rates[j] = (rates[j] - guard[j]) / R(c->tick);
+}
+
+/* ---------------------------------------------------------------- times */
+
+/* The next time of a timed event; infinite after its last one. */
+static double time_of(const Crossing *c, int k) {
+    const double number = c->turn[k], first = TIMING_HAS[k][0] ? c->timing[k][0] : c->origin;
+    const double every = c->timing[k][1], time = TIMING_HAS[k][1] ? first + number * every : first;
+    int gone = TIMING_HAS[k][1] ? every <= 0 && number > 0 : number > 0;
+    if (TIMING_HAS[k][2]) gone = gone || time > c->timing[k][2] + c->band;
+    return gone ? INFINITY : time;
+}
+
+/* How many times of a timed event lie before the sub-step. */
+static double passed_times(const Crossing *c, int k) {
+    const double passed = c->begin - 2 * c->band - (TIMING_HAS[k][0] ? c->timing[k][0] : c->origin);
+    if (!TIMING_HAS[k][1]) return passed > 0;
+    const double number = ceil(passed / c->timing[k][1]);
+    return number < 0 ? 0 : number;
+}
+
+typedef struct {
+    double g0, r0, g1, r1;
+} Ends;
+
+/* The value and the rate of guard j after a step of some size. */
+static void follow(Work *w, const Crossing *c, double at, const real *x, double size, int j, double *value, double *slope) {
+    real end[STATES], guard[GUARDS + 1], rates[GUARDS + 1];
+    step_within(w, c, at, size, x, end);
+    rated(w, c, at + size, end, guard, rates);
+    *value = guard[j];
+    *slope = rates[j];
+}
+
+/* A time in (0, left) at which the guard, as a cubic polynomial, has its extremum, and its value there; repeated on the
+   part with the extremum while the sign is not the wanted one. */
+static double extreme(Work *w, const Crossing *c, double at, const real *x, double left, int j, const Ends *e, double sign,
+                      double *value) {
+    double ga = e->g0, ra = e->r0, gb = e->g1, rb = e->r1, a = 0, b = left, place = left, slope;
+    for (int n = 0; n < 4; n++) {
+        const double length = b > a ? b - a : 1, chord = (gb - ga) / length;
+        const double square = 3 * (ra + rb - 2 * chord), linear = 2 * (3 * chord - 2 * ra - rb);
+        const double inner = linear * linear - 4 * square * ra, root = sqrt(inner > 0 ? inner : 0);
+        const double half = -0.5 * (linear + (linear < 0 ? -root : root)), one = half / square, other = ra / half;
+        double share = one > 0 && one < 1 ? one : other;
+        if (!(share > 0 && share < 1)) share = 0.5;
+        place = a + share * (b - a);
+        follow(w, c, at, x, place, j, value, &slope);
+        if (sign * *value > 0) break;
+        if (sign * slope > 0) a = place, ga = *value, ra = slope;
+        else b = place, gb = *value, rb = slope;
+    }
+    return place;
+}
+
+/* The time at which guard j is zero, between one at which it is negative and one at which it is not. */
+static double root_within(Work *w, const Crossing *c, double at, const real *x, double left, int j, double low, double high) {
+    const double exact = 4 * EPSILON * (fabs(at) + left);
+    double size = 0.5 * (low + high), value, slope;
+    for (int n = 0; n < 100; n++) {
+        follow(w, c, at, x, size, j, &value, &slope);
+        if (value < 0) low = size;
+        else high = size;
+        double new = size - value / slope;
+        const int close = fabs(new - size) <= exact;
+        if (!((isfinite(new) && new >= low && new <= high) || close)) new = 0.5 * (low + high);
+        size = new;
+        if (close || high - low <= exact) break;
+    }
+    return size < 0 ? 0 : size;
+}
+
+/* The first time at which guard j becomes positive; infinite where it does not. `e`: value and rate at both ends. */
+static double first_time(Work *w, const Crossing *c, double at, const real *x, double left, int j, const Ends *e) {
+    const int on = c->on[j], peaks = e->r0 > 0 && e->r1 < 0, dips = e->r0 < 0 && e->r1 > 0;
+    if (!((e->g1 >= 0 && (!on || dips)) || (!on && (peaks || e->g0 >= 0)))) return INFINITY;
+    const int due = !on && e->g0 >= 0 && e->g0 <= 2 * c->band * fabs(e->r0) && e->r0 > 0;
+    const int below = !on && e->g0 < 0;
+    double low = 0, high = left, value = 0;
+    int crosses = below && e->g1 >= 0;
+    if (below && e->g1 < 0 && peaks) {
+        high = extreme(w, c, at, x, left, j, e, 1, &value);
+        crosses = value > 0;
+    } else if (!below && !due && e->g1 >= 0 && dips) {
+        low = extreme(w, c, at, x, left, j, e, -1, &value);
+        crosses = value < 0;
+    }
+    return crosses ? root_within(w, c, at, x, left, j, low, high) : due ? 0 : INFINITY;
+}
+
+/* The time until each event happens in the rest of a sub-step, infinite where it does not, and the state at its end;
+   returns whether that was computed. */
+static int waits(Work *w, Crossing *c, double at, double left, const real *x, double *wait, real *end) {
+    const double limit = left - 2 * c->band;
+    real guard[GUARDS + 1], rates[GUARDS + 1];
+    for (int k = 0; k < TIMED_EVENTS; k++) {
+        const double found = time_of(c, k) - at;
+        wait[k] = found < limit && left > 0 ? (found > 0 ? found : 0) : INFINITY;
+    }
+    if (!GUARDS) return 0;
+    if (!c->known) rated(w, c, at, x, c->guard, c->rate);
+    c->known = 0;
+    step_within(w, c, at, left, x, end);
+    rated(w, c, at + left, end, guard, rates);
+    for (int j = 0; j < GUARDS; j++) {
+        const Ends e = {c->guard[j], c->rate[j], guard[j], rates[j]};
+        const double found = first_time(w, c, at, x, left, j, &e);
+        wait[TIMED_EVENTS + j] = found < limit && left > 0 ? found : INFINITY;
+    }
+    return 1;
+}
+
+/* ---------------------------------------------------------------- what events do */
+
+/* The pending event that comes first: timed ones, then by priority, then as written; -1: none. */
+static int next_event(Work *w, const Crossing *c, double at, const real *x) {
+    int first = -1;
+#if RANKED
+    real u[INPUTS + 1], now[1] = {R(at)}, ranks[EVENTS];
+    double best = -INFINITY;
+    int timed = 0;
+    inputs_within(c, at, u);
+    ranks_forward(w, 0, x, now, u, ranks);
+    for (int k = 0; k < TIMED_EVENTS; k++) timed |= c->pending[k];
+    for (int k = 0; k < EVENTS; k++) {
+        const double rank = isnan(ranks[k]) ? -1.7e308 : ranks[k];
+        if (c->pending[k] && (!timed || k < TIMED_EVENTS) && rank > best) best = rank, first = k;
+    }
+#else
+    (void)w, (void)at, (void)x;
+    for (int k = EVENTS - 1; k >= 0; k--)
+        if (c->pending[k]) first = k;
+#endif
+    return first;
+}
+
+/* Which conditions are true, and which events are pending, after an event has changed the state from x to after. */
+static void follow_event(Work *w, Crossing *c, double at, int k, const real *x, const real *after) {
+    real earlier[GUARDS + 1], guard[GUARDS + 1], rates[GUARDS + 1];
+    guards_at(w, c, at, x, earlier);
+    rated(w, c, at, after, guard, rates);
+    c->pending[k] = 0;
+    if (k < TIMED_EVENTS) c->turn[k] += 1;
+    for (int j = 0; j < GUARDS; j++) {
+        const int fired = k == TIMED_EVENTS + j;
+        const double zone = 2 * c->band * fabs(rates[j]);
+        const int caused = !c->on[j] && !fired && guard[j] >= 0 && (earlier[j] < 0 || guard[j] > zone);
+        /* A guard that the event did not change is zero up to rounding: only its rate says which sign follows. */
+        const int still = guard[j] == earlier[j] ? rates[j] > 0 || guard[j] > zone : guard[j] >= 0;
+        c->on[j] = (c->on[j] || fired) && still;
+        c->pending[TIMED_EVENTS + j] |= caused;
+    }
+}
+
+/* The state after the pending events, and after those that they cause. */
+static void happen(Work *w, Crossing *c, Piece *p, double at, real *x) {
+    real u[INPUTS + 1], after[STATES], now[1] = {R(at)};
+    inputs_within(c, at, u);
+    for (int n = 0; n <= CASCADE; n++) {
+        const int k = next_event(w, c, at, x);
+        if (k < 0) return;
+        if (n == CASCADE) break;
+        happen_forward(w, k, x, now, u, after);
+        c->fired[c->fired_count++] = (int16_t)k;
+        p->count++;
+        c->known = 0;
+        follow_event(w, c, at, k, x, after);
+        memcpy(x, after, sizeof after);
+    }
+    c->endless = 1;
+    for (int i = 0; i < STATES; i++) x[i] = NAN;
+}
+
+static Piece *new_piece(Crossing *c, double at) {
+    Piece *p = &c->pieces[c->count++];
+    p->at = at;
+    p->which = -1;
+    p->first = c->fired_count;
+    p->count = 0;
+    return p;
+}
+
+/* Which conditions are true at the start of a sub-step, and which events what arrived makes happen. */
+static void start_crossing(Work *w, Crossing *c, const real *before, const real *x) {
+    real earlier[GUARDS + 1], u[INPUTS + 1], now[1] = {R(c->begin)};
+    const int starting = fabs(c->begin - c->origin) <= c->band;
+    for (int j = 0; j < INPUTS; j++) u[j] = R(c->before[j]);
+    guards_forward(w, 0, before, now, u, earlier);
+    rated(w, c, c->begin, x, c->guard, c->rate);
+    c->known = 1;
+    timing_forward(w, &c->timing[0][0]);
+    for (int k = 0; k < TIMED_EVENTS; k++) c->pending[k] = 0, c->turn[k] = passed_times(c, k);
+    for (int j = 0; j < GUARDS; j++) {
+        const double guard = c->guard[j], zone = 2 * c->band * fabs(c->rate[j]);
+        const int on = starting ? guard >= 0 : guard > zone || (guard >= 0 && c->rate[j] <= 0);
+        int arrived = earlier[j] < 0 && guard >= 0 && (earlier[j] < -zone || guard > zone);
+        arrived = arrived || (starting && ARMED[j] && guard >= 0);
+        c->on[j] = on && !arrived;
+        c->pending[TIMED_EVENTS + j] = arrived;
+    }
+}
+
+static int first_of(const double *wait) {
+    int which = 0;
+    for (int k = 1; k < EVENTS; k++)
+        if (wait[k] < wait[which]) which = k;
+    return which;
+}
+
+/* The solution over sub-step s from the state x before what arrives at its start; `crossing` then has all its parts. */
+static void cross(Work *w, int64_t s, real *x) {
+    Crossing *c = w->crossing;
+    real before[STATES], end[STATES];
+    double wait[EVENTS], at, left, last = INFINITY;
+    int shorts = 0, falling = 0;
+    open_crossing(w, s, c);
+    memcpy(before, x, sizeof before);
+    for (int32_t j = arrival_of(w, s, 0); j >= 0; j = w->data->arrival_next[j])
+        x[w->data->arrival_state[j]] += R(w->inputs->amounts[j]);
+    memcpy(c->entry, x, sizeof c->entry);
+    start_crossing(w, c, before, x);
+    at = c->begin, left = c->length;
+    Piece *p = new_piece(c, at);
+    happen(w, c, p, at, x);
+    for (int n = 0; n < CLOSE; n++) {
+        const int ended = waits(w, c, at, left, x, wait, end), which = first_of(wait);
+        const int found = isfinite(wait[which]);
+        memcpy(p->x, x, sizeof p->x);
+        shorts = found && wait[which] <= c->band ? shorts + 1 : 0;
+        falling = found && wait[which] < 0.99 * last ? falling + 1 : 0;
+        if (shorts > SHORT || (falling > FALLING && wait[which] <= NEAR * c->band)) break;
+        last = wait[which];
+        p->size = found ? wait[which] : left;
+        if (found || !ended) step_within(w, c, at, p->size, x, end);
+        memcpy(p->reached, end, sizeof end);
+        memcpy(x, end, sizeof end);
+        if (!found) return;
+        p->which = which;
+        p->turn = which < TIMED_EVENTS ? c->turn[which] : 0;
+        at += p->size, left -= p->size;
+        for (int k = 0; k < EVENTS; k++) c->pending[k] = wait[k] <= wait[which] + 0.01 * c->band;
+        p = new_piece(c, at);
+        happen(w, c, p, at, x);
+    }
+    p->size = left;
+    c->endless = 1;
+    for (int i = 0; i < STATES; i++) x[i] = p->x[i] = p->reached[i] = NAN;
+}

@@ -1,0 +1,5 @@
+"""PEtab 2 of a model and a table."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
