@@ -11,9 +11,37 @@ CELL = "state q in [0, 1]\ninput I in [-2, 2] held\nlearn Q = 2 in [0.1, 10]\nq'
 OVER = "state x in [0, {}]\nlearn k = 1\nx' = -k*max(x - 5, 0)\nobserve x\n"
 SIDES = "state x in [{}, 10]\nlearn a = 2\nlearn b = 1\nx' = -(a + b*sign(x - 2))*x\nobserve x\n"
 
+
+
+def chain(first: str, last: str, starts: bool) -> str:
+    """Seven states in a row, the last of which is observed; the first has a known source."""
+    names = [f"x{i}" for i in range(1, 8)]
+    flows = ["1", *(first if i == 1 else last if i == 6 else f"x{i}" for i in range(1, 7))]
+    balances = [f"{x}' = {flow} - {x}\n" for x, flow in zip(names, flows, strict=True)]
+    return "".join(
+        [
+            "time t from 0\nlearn k = 1 in [0.1, 10]\n",
+            *(f"state {x}\n" for x in names),
+            *balances,
+            *(f"initial {x} = 0\n" for x in names if starts),
+            "observe x7\n",
+        ]
+    )
+
+
 Case = tuple[str, int, set[str], set[str], str]
 
 FURTHER: dict[str, Case] = {
+    "the last flow of a long chain that is empty at first": (
+        chain("x1", "k*x6", True), 0, set(), set(), "k first shows in the seventh derivative of x7",
+    ),
+    "the first flow of a long chain that is empty at first": (
+        chain("k*x1", "x6", True), 0, set(), set(), "as before: every flow is a factor of it",
+    ),
+    "a flow of a long chain between what is always empty": (
+        chain("x1", "x6", True).replace("= 1 - x1", "= -x1").replace("x3 - x4", "k*x3 - x4"), 1, {"k"}, set(),
+        "without a source the chain stays empty",
+    ),
     "absorption of a dose": (
         ORAL + "dose g\ninitial g = 0\ninitial c = 0\nobserve c\n", 0, set(), set(),
         "after a dose D, c'(0) = ka*D and c''(0) = -ka*(ka + ke)*D",
@@ -185,6 +213,13 @@ FURTHER: dict[str, Case] = {
 }  # fmt: skip
 
 UNDECIDED: dict[str, tuple[str, str]] = {
+    "rates that differ by fifteen decades": (
+        "time t from 0\nstate a\nstate b\nstate c\nstate d\nlearn fast = 1e9 in [1e8, 1e10]\n"
+        "learn quick = 1e5 in [1e4, 1e6]\nlearn slow = 1e-6 in [1e-7, 1e-5]\na' = -fast*a\nb' = fast*a - quick*b\n"
+        "c' = quick*b - slow*c\nd' = slow*c\ninitial a = 1\ninitial b = 0\ninitial c = 0\ninitial d = 0\n"
+        "observe a\nobserve b\nobserve c\n",
+        "c decays with the rate slow, which beside the others is below rounding",
+    ),
     "overflow that a known start may reach": (
         "state h in [0, 5]\ninput F in [0, 9] held\nlearn k = 1\nlearn r = 2\nh' = F - k*h - r*max(h - 2, 0)\n"
         "initial h = 0\nobserve h\n",

@@ -16,6 +16,7 @@ from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, OutOfTime, size
 from gbspec.passes.identifiability.points import bases_of
 from gbspec.passes.identifiability.question import Question
+from gbspec.passes.identifiability.reach import Reach
 from gbspec.passes.identifiability.series import Algebra
 
 SMALL = 1e-8
@@ -23,6 +24,8 @@ SMALL = 1e-8
 
 MOST_COLUMNS = 1200
 ORDERS = range(1, 6)
+MOST_ORDERS = 15
+"""The highest order where constants are far from what is observed."""
 LINES = 160
 SEED = 20
 
@@ -49,12 +52,15 @@ def find(question: Question, deadline: float) -> Directions | None:
     """The directions at increasing order, until their number is constant; None (undecided) if the budget ends first.
 
     With every state measured two equal ranks in a row end the search, with unmeasured ones three: each unmeasured state
-    may need one more derivative before it affects an output.
+    may need one more derivative before it affects an output. None of these may be below the order at which the last
+    constant can show.
     """
     needed = 3 if question.hidden else 2
+    reach = Reach(question).orders()
+    first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
     ranks: list[tuple[int, int, tuple[str, ...]]] = []
     branches = Branches(question)
-    for order in ORDERS:
+    for order in range(1, max(ORDERS[-1], min(first + needed, MOST_ORDERS)) + 1):
         if size(question, order) > MOST_COLUMNS or time.process_time() > deadline:
             break
         found = at_order(question, order, deadline, branches)
@@ -63,7 +69,7 @@ def find(question: Question, deadline: float) -> Directions | None:
         if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
             return found
         ranks.append((found.basis.shape[1], found.doubtful.shape[1], found.functions))
-        if len(ranks) >= needed and len(set(ranks[-needed:])) == 1:
+        if order + 1 >= first + needed and len(ranks) >= needed and len(set(ranks[-needed:])) == 1:
             return found
     return None
 
@@ -99,7 +105,8 @@ def at_order(
     if not systems:
         return None
     certain = [each for each, system in zip(equations, systems, strict=True) if system.certain]
-    sure, basis = _common_null(certain, count), _common_null([*equations, _thresholds(question)], count)
+    unsure = [_thresholds(question), _faint(systems, scales)]
+    sure, basis = _common_null(certain, count), _common_null([*equations, *unsure], count)
     functions = _free_functions(systems) if not question.hidden else ()
     doubtful = _unscaled(_common_null([np.asarray(basis.T), _equations_of(sure)], count), scales)
     return Directions(_unscaled(basis, scales), tuple(systems), tuple(bases), functions, order, doubtful)
@@ -120,6 +127,18 @@ def _thresholds(question: Question) -> Array:
     )
     names = {symbol for condition in conditions for symbol in condition.free_symbols}
     return np.diag([1.0 if k.symbol in names else 0.0 for k in question.sought])
+
+
+def _faint(systems: Sequence[LinearSystem], scales: Array) -> Array:
+    """Doubt about constants whose effects are not zero, and too small beside others to be told from rounding: with
+    rates that differ by many decades the expansion is no measure of what data at other times tell."""
+    largest = np.zeros(len(scales))
+    for system in systems:
+        sizes = np.abs(system.matrix)
+        sizes[:, : system.constants] *= scales
+        share = sizes[:, : system.constants] / np.maximum(sizes.max(axis=1, initial=0.0), 1e-300)[:, None]
+        largest = np.maximum(largest, share.max(axis=0, initial=0.0))
+    return np.diag(((largest > 0) & (largest < SMALL)).astype(float))
 
 
 def _lines(question: Question, order: int) -> int:
