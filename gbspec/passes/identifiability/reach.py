@@ -53,7 +53,7 @@ class Reach:
                 break
         self._memo = {}
         measured = [states[i] for i in self._question.known]
-        return np.min([self._none, *(self._of(e)[1] for e in (*measured, *self._question.outputs))], axis=0)
+        return np.asarray(np.min([self._none, *(self._of(e)[1] for e in (*measured, *self._question.outputs))], axis=0))
 
     def _starts(self) -> list[tuple[float, Array]]:
         dosed = {dose.state for dose in self._question.doses}
