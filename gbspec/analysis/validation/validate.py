@@ -16,7 +16,7 @@ from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data import channel_scales, far_outside
+from gbspec.data import channel_scales, states_far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, of_rows
@@ -208,8 +208,8 @@ def validate(
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
-        solved = [one.channels for one in predicted if not one.failure]
-        warnings += far_outside(run.model, np.concatenate(solved)) if solved else []
+        solved = [one.states for one in predicted if not one.failure]
+        warnings += states_far_outside(run.model, np.concatenate(solved)) if solved else []
     if check.warning:
         warnings.append(check.warning)
     kept = {} if trajectories is None else limits_kept(run.model, trajectories, predicted)
