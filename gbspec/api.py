@@ -27,7 +27,14 @@ from gbspec.fitted import Data, FittedRun, simulated, table_of
 from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
-from gbspec.keywords import SimulateKeywords, StudyKeywords, TrainKeywords, options_of
+from gbspec.keywords import (
+    SimulateKeywords,
+    StudyKeywords,
+    TrainKeywords,
+    near_names,
+    options_of,
+    with_near_names,
+)
 from gbspec.operations import analysing, evaluating, exporting, fitting, importing, models
 from gbspec.report import progress_of, register
 from gbspec.studies import StudyOptions
@@ -47,6 +54,7 @@ if TYPE_CHECKING:
     from gbspec.training import Progress
 
 
+@with_near_names
 @dataclass(frozen=True, repr=False)
 class Specification(Tabled):
     """A `.gb` model that was read and checked, with its `warnings`."""
@@ -210,6 +218,7 @@ class Specification(Tabled):
         return analysing.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 
 
+@near_names
 def load(path: str | Path) -> Specification:
     """Reads and checks a model file, or a bundled model by name. Raises `UserError` with all diagnostics on errors."""
     findings = Findings()
@@ -217,6 +226,7 @@ def load(path: str | Path) -> Specification:
     return Specification(str(path), model, tuple(findings))
 
 
+@near_names
 def check(path: str | Path) -> tuple[Diagnostic, ...]:
     """All errors and warnings of a model file, in the order of the text; raises nothing."""
     from gbspec.diagnostics import UserError
@@ -230,6 +240,7 @@ def check(path: str | Path) -> tuple[Diagnostic, ...]:
     return tuple(findings)
 
 
+@near_names
 def open_run(path: str | Path) -> FittedRun:
     """Opens a run directory. Raises `UserError` if it is not one."""
     return FittedRun(models.open_run(path))
@@ -262,6 +273,7 @@ def train(
     return load(model).train(data, directory, values=values, progress=progress, **options)
 
 
+@near_names
 def import_model(path: str | Path, directory: str | Path) -> Import:
     """Imports a model of another format (SBML, PEtab) into a folder; see `gbspec import`.
 
@@ -270,16 +282,19 @@ def import_model(path: str | Path, directory: str | Path) -> Import:
     return importing.import_file(path, directory)
 
 
+@near_names
 def validate(run: str | Path, data: Data | None = None) -> Validation:
     """Errors of a run, by path; see `FittedRun.validate`."""
     return open_run(run).validate(data)
 
 
+@near_names
 def evaluate(source: str | Path, data: Data, *, values: Mapping[str, float] | None = None) -> Evaluation:
     """The objective of a model or of a run on data at a point, by path; see `Specification.evaluate`."""
     return _subject(source).evaluate(data, values=values)
 
 
+@near_names
 def bifurcate(
     source: str | Path,
     over: str,
@@ -294,6 +309,7 @@ def bifurcate(
     return _subject(source).bifurcate(over, low, high, cycles=cycles, doublings=doublings, values=values)
 
 
+@near_names
 def figure(result: object) -> Figure:
     """The figure of a diagram, of curves in a plane, of eigenvalues, of initial states or of a profile."""
     from gbspec.report import figure as draw

@@ -11,7 +11,7 @@ from gbspec.data import SimulateOptions
 from gbspec.diagnostics import Findings
 from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
-from gbspec.keywords import SimulateKeywords, options_of
+from gbspec.keywords import SimulateKeywords, options_of, with_near_names
 from gbspec.operations import analysing, evaluating, exporting, fitting, models, reporting, tables
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ Data: TypeAlias = "str | Path | Trajectories | Frame"
 """A path, trajectories, or a table in memory: a data frame, or a mapping of names to columns."""
 
 
+@with_near_names
 @dataclass(frozen=True, repr=False)
 class FittedRun(Tabled):
     """A trained run directory. `run` has its model, members and `run.fit`, a `FitRecord` (`fit.json`)."""

@@ -1,7 +1,8 @@
-"""The options of functions of the Python interface as typed keyword arguments.
+"""The keyword arguments of the Python interface: typed options, and an answer to a misspelt name.
 
 `TrainKeywords` and the others list, for type checkers and editors, the fields of the dataclasses that hold the options
-(a test compares them); `options_of` adds these to the signature and the help of a function at run time.
+(a test compares them); `options_of` adds these to the signature and the help of a function at run time. `near_names`
+and `with_near_names` give a function, or the methods of a class, the answer that `options_of` gives: the nearest name.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from gbspec.data import Box
 from gbspec.training import Effort
 
 Function = TypeVar("Function", bound=Callable[..., object])
+Class = TypeVar("Class")
 
 
 class TrainKeywords(TypedDict, total=False):
@@ -100,23 +102,39 @@ def options_of(options: type) -> Callable[[Function], Function]:
             )
             lines += [f"    {item.name}: {item.type} = {default!r}", f"        {item.metadata.get('help', '')}"]
         function.__signature__ = signature.replace(parameters=before)  # type: ignore[attr-defined]  # documented by inspect
-        known = [p.name for p in before if p.kind is not inspect.Parameter.POSITIONAL_ONLY and p.name != "self"]
-
-        @functools.wraps(function)
-        def checked(*given: object, **named: object) -> object:
-            for name in named:
-                if name not in known:  # else the name of an inner class would be in the message
-                    near = difflib.get_close_matches(name, known, 1)
-                    hint = f"; did you mean `{near[0]}`?" if near else ""
-                    raise TypeError(f"{function.__name__}() has no option `{name}`{hint}")
-            return function(*given, **named)
-
-        text = inspect.cleandoc(function.__doc__ or "")
-        checked.__doc__ = "\n".join([text, "", "Options:", *lines])
-        checked.__signature__ = function.__signature__  # type: ignore[attr-defined]
-        return cast(Function, checked)
+        function.__doc__ = "\n".join([inspect.cleandoc(function.__doc__ or ""), "", "Options:", *lines])
+        return near_names(function)
 
     return described
+
+
+def near_names(function: Function) -> Function:
+    """The function, whose `TypeError` for an unknown keyword argument names it by its public name and the nearest one.
+
+    Without it Python says neither, and an option would be missed by the name of a class that holds the options.
+    """
+    signature = inspect.signature(function)
+    named = [p for p in signature.parameters.values() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    known = [p.name for p in named if p.name != "self"]
+
+    @functools.wraps(function)
+    def answered(*given: object, **keywords: object) -> object:
+        for name in keywords:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, 1)
+                hint = f"; did you mean `{near[0]}`?" if near else f"; it has {', '.join(known) or 'none'}"
+                raise TypeError(f"{function.__name__}() has no option `{name}`{hint}")
+        return function(*given, **keywords)
+
+    return cast(Function, answered)
+
+
+def with_near_names(cls: type[Class]) -> type[Class]:
+    """The class, whose public methods are `near_names`."""
+    for name, method in vars(cls).copy().items():
+        if inspect.isfunction(method) and not name.startswith("_"):
+            setattr(cls, name, near_names(method))
+    return cls
 
 
 def _made(factory: Any) -> object:

@@ -67,22 +67,35 @@ Row = dict[str, str]
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change of a file: the number of its place among the file's places, its line, and what it does."""
+    """A change of a file: the number of its place among the file's places, its line, and what it does.
+
+    `lines` are the first and the last line of its statement (of the head, where it has a body): a test that runs one of
+    them sees the change, also where coverage attributes an expression to another line than it stands in.
+    """
 
     file: str
     place: int
     line: int
     change: str
+    lines: tuple[int, int]
 
 
 class _Mutator(ast.NodeVisitor):
     """Counts the places where a function's code can be changed, and keeps the change of number `wanted`."""
 
     def __init__(self, wanted: int = -1) -> None:
-        self.wanted, self.depth, self.found = wanted, 0, list[tuple[int, str]]()
+        self.wanted, self.depth, self.found = wanted, 0, list[tuple[int, str, tuple[int, int]]]()
+        self.lines = (0, 0)
         self.change: tuple[ast.AST, ast.AST] | None = None
 
     def generic_visit(self, node: ast.AST) -> None:
+        outer = self.lines
+        if isinstance(node, ast.stmt):
+            self.lines = _head(node)
+        self._visit(node)
+        self.lines = outer
+
+    def _visit(self, node: ast.AST) -> None:
         if isinstance(node, ast.FunctionDef):
             self.depth += 1
             for one in node.body:
@@ -96,8 +109,15 @@ class _Mutator(ast.NodeVisitor):
         for new, what in _changes(node) if self.depth else ():
             if len(self.found) == self.wanted:
                 self.change = node, new
-            self.found.append((getattr(node, "lineno", 0), what))
+            self.found.append((getattr(node, "lineno", 0), what, self.lines))
         super().generic_visit(node)
+
+
+def _head(node: ast.stmt) -> tuple[int, int]:
+    """The first and the last line of a statement without its body."""
+    body = [case.pattern for case in node.cases] if isinstance(node, ast.Match) else getattr(node, "body", None)
+    last = body[0].lineno - 1 if body else node.end_lineno or node.lineno
+    return node.lineno, max(node.lineno, last)
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
@@ -143,7 +163,7 @@ def mutants_of(path: Path) -> list[Mutant]:
     mutator = _Mutator()
     mutator.visit(ast.parse(path.read_text(encoding="utf-8")))
     file = str(path.relative_to(ROOT))
-    return [Mutant(file, place, line, what) for place, (line, what) in enumerate(mutator.found)]
+    return [Mutant(file, place, line, what, lines) for place, (line, what, lines) in enumerate(mutator.found)]
 
 
 def mutated(mutant: Mutant, source: str) -> str:
@@ -184,18 +204,16 @@ class Judge:
     seconds: float
 
     def tests(self, mutant: Mutant) -> list[str]:
-        """The tests that run the mutated line, fastest first, as many as fit into the time."""
-        from coverage.numbits import register_sqlite_functions
-
+        """The tests that run the mutated statement, fastest first, as many as fit into the time."""
         with sqlite3.connect(self.coverage) as database:
-            register_sqlite_functions(database)
             query = (
-                "select distinct context.context from line_bits join file on file.id = line_bits.file_id "
-                "join context on context.id = line_bits.context_id "
-                "where file.path like ? and num_in_numbits(?, line_bits.numbits)"
+                "select context.context, line_bits.numbits from line_bits join file on file.id = line_bits.file_id "
+                "join context on context.id = line_bits.context_id where file.path like ?"
             )
-            found = database.execute(query, (f"%/{mutant.file}", mutant.line)).fetchall()
-        names = {name.rpartition("|")[0] for (name,) in found if name}
+            found = database.execute(query, (f"%/{mutant.file}",)).fetchall()
+        first, last = mutant.lines
+        seen = {context for context, bits in found if any(_has(bits, n) for n in range(first, last + 1))}
+        names = {context.rpartition("|")[0] for context in seen if context}
         ordered = sorted(names, key=lambda name: (self.durations.get(name, 0.0), name))
         return self._within(ordered)
 
@@ -241,6 +259,11 @@ class Judge:
             return {"result": "killed", "by": "did not end"}
         by = re.search(r"^(?:FAILED|ERROR) (\S+)", log.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
         return {"result": "killed" if status else "survived", "by": by.group(1) if by else ""}
+
+
+def _has(bits: bytes, line: int) -> bool:
+    """Whether a set of lines has one, as coverage stores it: a bit for each."""
+    return line // 8 < len(bits) and bool(bits[line // 8] >> line % 8 & 1)
 
 
 def _started(arguments: Sequence[str], place: Path, log: Path) -> int:

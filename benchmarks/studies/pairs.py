@@ -1,6 +1,7 @@
 """What can be combined: every pair of statements in one small model, and every statement with every command.
 
     python -m benchmarks.studies.pairs -o docs/studies/pairs.md
+    python -m benchmarks.studies.pairs -o docs/studies/pairs.md --blanks    (what the page does not say yet)
     python -m benchmarks.studies.pairs --only events,dose        (rows and columns that begin with these words)
 
 Each pair of `STATEMENTS` is put into a model of one state, which is checked; then a training with a table of three
@@ -310,31 +311,55 @@ def text(pairs: Mapping[tuple[str, str], str], commands: Mapping[tuple[str, str]
     )
 
 
+def written(page: str, columns: Sequence[str]) -> dict[tuple[str, str], str]:
+    """The cells of a page's matrix with these columns that were tried, by the words of rows and columns."""
+    import re
+
+    head = f"| | {' | '.join(str(i) for i in range(1, len(columns) + 1))} |\n"
+    found = {}
+    for line in page.partition(head)[2].splitlines()[1:]:
+        row = re.fullmatch(r"\| \d+ ([^|]+) \| (.+) \|", line)
+        if row is None:
+            break
+        cells = zip(columns, row[2].split(" | "), strict=True)
+        found |= {(row[1], column): cell.removeprefix("+") for column, cell in cells if cell != "·"}
+    return found
+
+
 def main() -> int:
     """Tries all and writes the page; status 1 if anything ends as a defect."""
     parser = argparse.ArgumentParser(description="What can be combined.")
     parser.add_argument("--only", default="", help="statements that begin with these words")
     parser.add_argument("--fit", action="store_true", help="train each pair for one iteration")
     parser.add_argument("--no-commands", action="store_true", help="pairs alone")
+    parser.add_argument("--blanks", action="store_true", help="try only what the page of -o does not have")
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
     wanted = tuple(options.only.split(","))
     chosen = [name for name in STATEMENTS if name.startswith(wanted)]
     place = Path(tempfile.mkdtemp(prefix="pairs-"))
-    alone = {name: tried([STATEMENTS[name]], place / "one", options.fit) for name in chosen}
-    pairs: dict[tuple[str, str], str] = {(name, name): code for name, code in alone.items()}
-    commands: dict[tuple[str, str], str] = {}
-    for first, second in itertools.combinations(chosen, 2):
-        pairs[first, second] = tried([STATEMENTS[first], STATEMENTS[second]], place / "two", options.fit)
-        print(first, "|", second, "|", pairs[first, second] or "+", flush=True)
+    page = options.output.read_text(encoding="utf-8") if options.blanks else ""
+    pairs, commands = written(page, chosen), written(page, list(COMMANDS))
+
+    def write() -> None:
         if options.output is not None:
             options.output.write_text(text(pairs, commands, chosen), encoding="utf-8")
+
+    for first, second in itertools.combinations_with_replacement(chosen, 2):
+        if (first, second) in pairs:
+            continue
+        tested = [STATEMENTS[name] for name in dict.fromkeys((first, second))]
+        pairs[first, second] = tried(tested, place / "two", options.fit)
+        print(first, "|", second, "|", pairs[first, second] or "+", flush=True)
+        write()
     for name in [] if options.no_commands else chosen:
+        if all((name, command) in commands for command in COMMANDS):
+            continue
         for command, code in all_commands(name, place / "one"):
             commands[name, command] = code
-            print(name, "|", command, "|", commands[name, command] or "+", flush=True)
-    if options.output is not None:
-        options.output.write_text(text(pairs, commands, chosen), encoding="utf-8")
+            print(name, "|", command, "|", code or "+", flush=True)
+        write()
+    write()
     shutil.rmtree(place, ignore_errors=True)
     return int(any(code in ("fails", "differs", "status 70") for code in (*pairs.values(), *commands.values())))
 

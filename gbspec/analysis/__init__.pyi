@@ -42,6 +42,7 @@ from .systems.system import System as System
 from .systems.system import system_of as system_of
 from .validation.metrics import ChannelErrors as ChannelErrors
 from .validation.metrics import channel_errors as channel_errors
+from .validation.metrics import share_text as share_text
 from .validation.step_check import check_fit as check_fit
 from .validation.truth_errors import has_reference as has_reference
 from .validation.truth_errors import truth_evaluator as truth_evaluator

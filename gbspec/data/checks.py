@@ -13,6 +13,9 @@ from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
 from gbspec.ir import Model, Range
 
+NOISE = 0.01
+"""The share of a declared range by which noise may carry a measured value out of it without a warning."""
+
 
 def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:
     """Reports all errors in the records; `measured`: whether a measurement is required."""
@@ -79,12 +82,13 @@ def _after_start(table: Records, start: float, findings: Findings) -> None:
 
 
 def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
-    """Warns once per column with values outside its declared range."""
+    """Warns once per column with values outside its declared range, measured ones by more than noise may be."""
     bounds = quantity.range
     if bounds is None:
         return
+    noise = NOISE * (bounds.high - bounds.low) if quantity.role == "channel" and bounds.bounded else 0.0
     known = np.ones(len(cells.value), dtype=np.bool_) if cells.side is None else cells.side == 0
-    outside = np.flatnonzero(known & ((cells.value < bounds.low) | (cells.value > bounds.high)))
+    outside = np.flatnonzero(known & ((cells.value < bounds.low - noise) | (cells.value > bounds.high + noise)))
     if not len(outside):
         return
     first = outside[np.argmin(cells.row[outside])]

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from gbspec.analysis import share_text
+
 if TYPE_CHECKING:
     from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
     from gbspec.runs import MemberRecord, ProfileRecord, Run
@@ -20,6 +22,11 @@ def number(value: float | None, digits: int = 4) -> str:
     if 1e-3 <= abs(value) < 1e5:
         return f"{value:.{digits}g}"
     return f"{value:.{max(digits - 2, 1)}e}"
+
+
+def share(r2: float | None) -> str:
+    """An R² for a table, which is 1 only where it is."""
+    return number(r2, 5) if r2 is None or r2 < 0.99 else share_text(r2)
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -273,7 +280,7 @@ def _channels(members: Sequence[MemberRecord]) -> str:
             count, weight = (found.values, found.weight) if found is not None else (None, None)
             shown = ["-" if count is None else str(count), number(weight, 3)]
             predictor = found.predictor if found is not None else ""
-            rows.append([str(i), name, *(number(value, 5) for value in (rmse, *known)), predictor or "-", *shown])
+            rows.append([str(i), name, number(rmse, 5), *map(share, known), predictor or "-", *shown])
     header = [
         "member",
         "whole solutions",

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import sympy
 from numpy.typing import NDArray
+from sympy.core.function import AppliedUndef
 
 from gbspec.analysis import fences, function_bands
 from gbspec.arrays import Array
@@ -81,6 +82,19 @@ def postulate_of(fitted: Fitted, unknown: Unknown) -> Expression | None:
     return Expression(unknown.postulate.xreplace({NN: sympy.Float(unknown.neutral)}), arguments, constants)
 
 
+def argument_units(model: Model, unknown: Unknown) -> tuple[str, ...]:
+    """The units of the arguments of an unknown: those declared with it, else, where it is applied to one state,
+    condition or input alone, that one's; empty where there is none."""
+    names = {item.name: item.unit for item in (*model.states, *model.conditions, *model.inputs)}
+    values = model.inlined((*model.balances, *(channel.value for channel in model.channels)))
+    calls = {node for value in values for node in value.atoms(AppliedUndef) if node.func.__name__ == unknown.name}
+    found = []
+    for i, argument in enumerate(model.networks[unknown.network].arguments):
+        given = {str(node.args[i]) for node in calls}
+        found.append(argument.unit or (names.get(given.pop()) if len(given) == 1 else None) or "")
+    return tuple(found)
+
+
 class _Drawn:
     """One unknown over the points [P, A] that were visited."""
 
@@ -103,7 +117,7 @@ class _Drawn:
         self.fence = fences(fitted.run).get(network)
         unknown = next(u for u in fitted.model.unknowns if u.name == name)
         self.unit = unknown.unit or ""
-        self.units = tuple(a.unit or "" for a in fitted.model.networks[unknown.network].arguments)
+        self.units = argument_units(fitted.model, unknown)
 
     def function(self) -> LearnedFunction:
         """Slices, plane and values at the points."""

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from gbspec.analysis.validation.metrics import channel_errors, norms, relative_errors
+from gbspec.analysis.validation.metrics import channel_errors, norms, relative_errors, share_text
 
 
 def test_norms_are_those_of_the_appendix() -> None:
@@ -75,3 +75,9 @@ def test_values_that_vary_by_rounding_alone_have_no_share_explained(share: float
 
 def test_zeros_have_no_share_explained() -> None:
     assert math.isnan(channel_errors(np.zeros(3), np.array([0.0, 0.1, 0.0])).r2)
+
+
+def test_a_share_of_one_is_said_of_nothing_less() -> None:
+    shown = {0.5: "0.5", 0.99986: "0.99986", 0.9999968: "0.999997", 1 - 2e-8: "1", 1.0: "1", -3.0: "-3"}
+    assert {value: share_text(value) for value in shown} == shown
+    assert share_text(math.nan) == "nan"

@@ -259,9 +259,37 @@ def test_keyword_arguments_are_the_options(keywords: Any, options: Any, function
             assert str(field.metadata.get("help", "")) in (function.__doc__ or ""), name
 
 
-def test_a_misspelt_option_is_told_by_the_name_that_was_called(model: gbspec.Specification, tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=r"train\(\) has no option `efort`; did you mean `effort`\?"):
+PUBLIC = [
+    *(getattr(gbspec, name) for name in gbspec.__all__ if inspect.isfunction(getattr(gbspec, name))),
+    *(
+        method
+        for owner in (gbspec.Specification, gbspec.FittedRun)
+        for name, method in inspect.getmembers(owner, inspect.isfunction)
+        if not name.startswith("_") and len(inspect.signature(method).parameters) > 1
+    ),
+]
+
+
+@pytest.mark.parametrize("function", PUBLIC, ids=lambda function: str(function.__qualname__))
+def test_a_misspelt_name_is_answered_with_the_nearest_by_every_call(function: Callable[..., Any]) -> None:
+    for name in inspect.signature(function).parameters:
+        if name == "self":
+            continue
+        wrong = name.rstrip("_")[:-1] + "x" if len(name) > 4 else name + "x"
+        with pytest.raises(TypeError) as caught:
+            function(**{wrong: 1})
+        assert str(caught.value).startswith(f"{function.__name__}() has no option `{wrong}`; did you mean `"), name
+
+
+def test_the_nearest_name_is_the_one_that_was_meant(model: gbspec.Specification, tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"^train\(\) has no option `efort`; did you mean `effort`\?$"):
         cast(Any, model.train)({"t": [0.0]}, tmp_path / "run", efort="low")
+    with pytest.raises(TypeError, match=r"^eigen\(\) has no option `allong`; did you mean `along`\?$"):
+        cast(Any, model.eigen)(allong={"t": [0.0]})
+    with pytest.raises(TypeError, match=r"^validate\(\) has no option `zzz`; it has run, data$"):
+        cast(Any, gbspec.validate)("run", zzz=1)
+    with pytest.raises(TypeError, match=r"^check\(\) has no option `self`; it has none$"):
+        cast(Any, gbspec.Specification.check)(self=model)
 
 
 def test_errors_are_public() -> None:

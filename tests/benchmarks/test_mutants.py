@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,29 @@ def test_the_table_counts_and_lists_survivors() -> None:
     row = {"file": "gbspec/ir/a.py", "line": "3", "change": "x -> y", "tests": "2", "by": ""}
     text = mutants.table([row | {"result": "killed"}, row | {"result": "survived"}])
     assert "| ir | 2 | 1 | 0 | 1 | 0 | 50 % |" in text and "- `gbspec/ir/a.py:3`: `x -> y` (survived)" in text
+
+
+def test_the_tests_of_a_mutant_are_those_that_run_its_statement(tmp_path: Path) -> None:
+    """Also where coverage has the statement's first line alone; the fastest come first."""
+    source = SOURCE.replace("min(x + 1, y)", "min(\n            x + 1,\n            y,\n        )")
+    (tmp_path / "a.py").write_text(source)
+    mutator = mutants._Mutator()
+    mutator.visit(ast.parse(source))
+    (lines,) = {lines for line, what, lines in mutator.found if what == "x + 1 -> x - 1"}
+    assert lines == (7, 10) and {lines for line, _, lines in mutator.found if line == 6} == {(6, 6)}
+    with sqlite3.connect(tmp_path / "coverage") as database:
+        database.executescript(
+            "create table file (id, path); create table context (id, context);"
+            "create table line_bits (file_id, context_id, numbits);"
+            "insert into file values (1, '/tree/a.py'), (2, '/tree/b.py');"
+            "insert into context values (1, 'slow|run'), (2, 'quick|run'), (3, 'away|run'), (4, 'other|run'), (5, '');"
+        )
+        rows = [(1, 1, 7), (1, 2, 8), (1, 3, 6), (2, 4, 7), (1, 5, 7)]
+        bits = [(file, context, bytes([0] * (line // 8) + [1 << line % 8])) for file, context, line in rows]
+        database.executemany("insert into line_bits values (?, ?, ?)", bits)
+    judge = mutants.Judge(tmp_path / "coverage", {"slow": 3.0, "quick": 0.1}, 40.0)
+    assert judge.tests(mutants.Mutant("a.py", 0, 8, "x + 1 -> x - 1", lines)) == ["quick", "slow"]
+    assert judge.tests(mutants.Mutant("a.py", 0, 4, "1 -> 2", (4, 4))) == []
 
 
 def test_durations_are_read_from_a_log(tmp_path: Path) -> None:

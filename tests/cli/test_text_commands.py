@@ -182,6 +182,15 @@ def test_the_data_of_a_new_model_have_different_starts_and_stay_in_its_ranges(gb
     assert all(len({row[name] for row in first}) == 12 for name in ("A", "B", "D"))
 
 
+def test_a_state_that_is_not_measured_and_leaves_its_range_is_told(gbspec: Run, here: Path) -> None:
+    text = (
+        "model m\ninput I held in [1, 2]\nstate soc in [0, 1] = 0.5\nsoc' = I\ninitial soc = 0.5\nobserve v = 2*soc\n"
+    )
+    (here / "m.gb").write_text(text)
+    told = gbspec("simulate", "m.gb", "-o", "data.csv", "--trajectories", "2")
+    assert "note: `soc`: 40 of 40 values lie far outside of its range [0, 1]: from " in told.stderr
+
+
 @pytest.mark.parametrize("name", ["fed_batch", "urp_gb2", "alpha_pinene"])
 def test_a_copy_of_a_bundled_model_stands_alone_under_its_new_name(
     gbspec: Run, document: Run, here: Path, name: str

@@ -66,6 +66,7 @@ WRONG: dict[str, tuple[str, Model, list[tuple[str, int | None, str | None]]]] = 
     "lognormal": ("t,plasma mg/L,dose_S\n0,0,\n1,-1,\n2,1,\n", patient(), [("GB724", 2, "plasma mg/L"),
                                                                      ("GB724", 3, "plasma mg/L")]),
     "range": (HEAD + FIRST + "1,1,1.5,1,.3\n1,2,2,1,.3\n", reactor(), [("GB725", 3, "x1")]),
+    "noise at a range's end": (HEAD + FIRST + "1,1,1.009,1,.3\n1,2,-.009,1,.3\n", reactor(), []),
     "range of a condition": (HEAD + "1,0,.5,1,3\n1,1,.5,1,3\n", reactor(), [("GB725", 2, "Da")]),
     "nothing measured": (HEAD + "1,0,,,0.3\n1,1,,,0.3\n", reactor(), [("GB726", None, None)]),
     "measured once": (HEAD + FIRST + "1,1,.5,1,.3\n2,0,.5,1,.3\n", reactor(), [("GB727", 4, None)]),

@@ -20,9 +20,10 @@ from gbspec.report.figures.functions import slice_panel
 from gbspec.report.figures.summary import liveliest
 from gbspec.report.files import draw
 from gbspec.report.kinds import KINDS
-from gbspec.report.unknowns import Expression, learned_functions, postulate_of, truth_of
+from gbspec.report.unknowns import Expression, argument_units, learned_functions, postulate_of, truth_of
 from gbspec.runs.record import ConstantRecord, DataRecord, FitRecord, MemberRecord, OwnRecord
 from gbspec.runs.store import Run
+from tests.texts import model_of
 
 TEXT = """\
 model growth "Growth on a substrate, twice"
@@ -264,3 +265,22 @@ def test_inputs_and_doses_are_those_of_the_data(tmp_path: Path) -> None:
         np.testing.assert_allclose(jump, amount, rtol=1e-6)
     assert shown.own == "k = 0.4 (0.3 to 0.5) 1/h"
     assert shown.origin == "given by the model", "and not learned"
+
+
+def test_arguments_have_the_unit_of_what_the_unknown_is_applied_to() -> None:
+    """Where it is applied to different things, or to expressions, only a unit that is declared with it is known."""
+    text = """model m
+time t : s
+state w : rad/s in [-9, 9] = 1
+state v : rad/s in [-9, 9] = 1
+unknown f(w) : rad/s^2 by mlp(2)
+unknown g(a) : rad/s^2 by mlp(2)
+unknown h(a, b : rad) : rad/s^2 by mlp(2)
+const tau : s = 1
+w' = -f(w) + h(v, w*tau)
+v' = -g(v) - g(w)
+observe w
+"""
+    model = model_of(text)
+    units = [argument_units(model, one) for one in model.unknowns]
+    assert units == [("rad/s",), ("",), ("rad/s", "rad")]

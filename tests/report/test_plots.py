@@ -149,6 +149,16 @@ def test_history_has_the_loss_and_each_constant() -> None:
     assert [text.get_text() for text in made.axes[0].texts] == ["warm", "fit"]
 
 
+def test_a_loss_that_falls_by_orders_of_magnitude_is_drawn_to_its_end() -> None:
+    """Numbers on the page are rounded, but not to zero, which a logarithmic axis does not have."""
+    (trace,) = [one for one in stack(history.figure([falling()]).rows[0][0].rows[0].panels)["data"] if "y" in one]
+    assert trace["y"] == [75.0, 0.3, 1.74e-06]
+
+
+def falling() -> History:
+    return History(0, ("fit",) * 3, np.arange(3.0), np.array([75.0, 0.3, 1.74e-6]), {})
+
+
 def test_a_gap_in_the_loss_does_not_break_the_history() -> None:
     loss = np.array([1.0, np.nan, 0.1])
     assert drawn(history.figure([History(0, ("fit",) * 3, np.arange(3.0), loss, {})])).axes

@@ -57,5 +57,7 @@ def test_solutions_far_outside_of_a_declared_range_are_told(tmp_path: Path, boun
 
 def test_an_unmeasured_state_and_its_start_are_told(tmp_path: Path) -> None:
     text = ONE.replace("state x in [0, 2]\n", "state x\nstate y in [3, 4]\n") + "y' = -y + x\ninitial y = 1\n"
-    told = [one for one in trained(tmp_path, text).run.fit.warnings if "far outside" in one]
-    assert len(told) == 1 and "`y`: 5 of 5 values" in told[0]
+    run = trained(tmp_path, text)
+    for warnings in (run.run.fit.warnings, run.validate().warnings):
+        told = [one for one in warnings if "far outside" in one]
+        assert len(told) == 1 and "`y`: 5 of 5 values" in told[0]

@@ -18,7 +18,17 @@ from gbspec.analysis.simulation.region import Region, regions
 from gbspec.analysis.systems import Individuals
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
-from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate, form_of
+from gbspec.data import (
+    DoseEvents,
+    Signal,
+    SimulateOptions,
+    Trajectories,
+    Trajectory,
+    clipped,
+    evaluate,
+    form_of,
+    states_far_outside,
+)
 from gbspec.diagnostics import ComputationError, Findings
 from gbspec.ir import Model, without_values
 
@@ -79,10 +89,11 @@ class Solver(Protocol):
 
 @dataclass(frozen=True)
 class Solved:
-    """A plan with its noise-free measurements [T, C] (all channels, measured or not)."""
+    """A plan with its noise-free measurements [T, C] (all channels, measured or not) and its states [T, n]."""
 
     plan: Plan
     values: Array
+    states: Array
 
 
 @dataclass
@@ -115,8 +126,9 @@ def simulate(
     With `individuals`, each trajectory has constants of its own, drawn from their distribution.
 
     With `like`, times, conditions, inputs and doses come from a table, whose trajectories are simulated one by one. A
-    trajectory that enters a rejected region or cannot be solved is drawn again; `meta` counts these. `progress` is
-    called with the numbers of trajectories done and in total.
+    trajectory that enters a rejected region or cannot be solved is drawn again; `meta` counts these, and has a
+    line for each state that lies far outside of its range. `progress` is called with the numbers of trajectories done
+    and in total.
 
     Raises UserError if the options do not fit the model (GB751 to GB756), ComputationError if 200 draws of a trajectory
     fail.
@@ -137,6 +149,7 @@ def simulate(
     items = _noisy(solved, model, options)
     channels = tuple(channel.name for channel in model.channels)
     meta = {"rejected": str(tally.rejected), "failed": str(tally.failed)}
+    meta["outside"] = "\n".join(states_far_outside(model, np.concatenate([one.states for one in solved])))
     rows = sum(len(item.times) for item in items)
     return Trajectories(items, channels, rows=rows, meta=meta, form=form_of(model))
 
@@ -247,7 +260,7 @@ def solve(
     values = evaluator.observe_many(drawn.times, states[at], drawn.condition, np.hstack([inputs, late])[at])
     if not np.isfinite(values).all():
         raise ComputationError("a channel is not finite", where=f"trajectory {drawn.label}")
-    return Solved(drawn, values)
+    return Solved(drawn, values, states[at])
 
 
 def input_values(model: Model, signals: tuple[Signal, ...], times: Array) -> Array:

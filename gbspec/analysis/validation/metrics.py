@@ -91,6 +91,13 @@ def relative_errors(truth: Mapping[str, float], learned: Mapping[str, float]) ->
     return {name: abs(learned[name] - value) / (abs(value) if value != 0.0 else 1.0) for name, value in truth.items()}
 
 
+def share_text(r2: float) -> str:
+    """R² with five digits, or as many (up to seven decimals) as it takes to tell it from 1; 1 above these."""
+    if 0.999995 <= r2 < 1.0 - 5e-8:
+        return f"{r2:.{math.ceil(-math.log10(1.0 - r2))}f}"
+    return f"{r2:.5g}"
+
+
 @dataclass(frozen=True)
 class ChannelErrors:
     """Errors of one channel over `n` measured values, in the channel's unit.

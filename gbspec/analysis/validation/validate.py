@@ -12,11 +12,11 @@ from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
-from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
+from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, share_text
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data import channel_scales, far_outside
+from gbspec.data import channel_scales, states_far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, of_rows
@@ -106,7 +106,7 @@ class Validation(Tabled):
     def summary(self) -> str:
         """Which prediction was compared with how many trajectories."""
         who = "mean of the members" if self.member == "mean" else f"member {self.member}"
-        parts = ", ".join(f"R² {one.r2:.5g} of {name}" for name, one in self.channels.items())
+        parts = ", ".join(f"R² {share_text(one.r2)} of {name}" for name, one in self.channels.items())
         return f"{who}, {len(self.trajectories)} trajectories" + (f", {parts}" if parts else "")
 
     def notes(self) -> Sequence[str]:
@@ -152,12 +152,16 @@ class Validation(Tabled):
         if self.channels:
             lines.append(f"{'channel':<{wide}}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
             for name, e in self.channels.items():
-                lines.append(f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{e.r2:>10.5g}")
+                lines.append(
+                    f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{share_text(e.r2):>10}"
+                )
         lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.ahead:
             lines.append(f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>10}")
         for steps, found in self.ahead.items():
-            lines += [f"{steps:<12}{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.r2:>10.5g}" for name, e in found.items()]
+            lines += [
+                f"{steps:<12}{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{share_text(e.r2):>10}" for name, e in found.items()
+            ]
         if self.worst is not None:
             lines.append(str(self.worst))
         check = self.step_check
@@ -208,8 +212,8 @@ def validate(
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
-        solved = [one.channels for one in predicted if not one.failure]
-        warnings += far_outside(run.model, np.concatenate(solved)) if solved else []
+        solved = [one.states for one in predicted if not one.failure]
+        warnings += states_far_outside(run.model, np.concatenate(solved)) if solved else []
     if check.warning:
         warnings.append(check.warning)
     kept = {} if trajectories is None else limits_kept(run.model, trajectories, predicted)

@@ -24,6 +24,8 @@ STEPS = 1e5
 """Numbers are rounded to this part of their range: finer than a screen shows, also where it is enlarged."""
 DIGITS = 7
 """Significant digits of single numbers."""
+ORDERS = 1e3
+"""The ratio of the largest to the smallest positive number from which each is rounded by itself."""
 PIXELS = 1.25
 """Pixels per point for the widths of lines."""
 SIZE = 1.6
@@ -46,11 +48,16 @@ GAP, TITLE = 16, 25
 
 
 def numbers(values: ArrayLike) -> list[float | None]:
-    """An array as a list for JSON: rounded relative to its range, null (a gap) where it is not finite."""
+    """An array as a list for JSON: rounded relative to its range, null (a gap) where it is not finite.
+
+    Positive numbers of several orders of magnitude, such as losses, are each rounded relative to themselves: they may
+    be drawn on a logarithmic axis, where what is rounded to zero has no place.
+    """
     array = np.ravel(np.asarray(values, dtype=np.float64))
     finite = array[np.isfinite(array)]
     span = float(np.ptp(finite)) if len(finite) else 0.0
-    if span <= 0 or not math.isfinite(span):
+    orders = len(finite) > 0 and 0 < float(finite.min()) * ORDERS < float(finite.max())
+    if orders or span <= 0 or not math.isfinite(span):
         return [float(f"{v:.{DIGITS}g}") if math.isfinite(v) else None for v in array.tolist()]
     digits = math.ceil(math.log10(STEPS / span))
     return [round(v, digits) if math.isfinite(v) else None for v in array.tolist()]
@@ -79,7 +86,7 @@ def stack(panels: Sequence[Panel]) -> Chart:
     layout["xaxis"] = _axis(panels[-1].x) | {"anchor": _place("y", len(panels) - 1)}
     top = TOP + (TITLE if panels[0].title else 0)
     if any(isinstance(mark, Text) for mark in panels[0].marks):
-        top += 15
+        top += 30  # below the buttons
     layout["margin"] |= {"t": top, "b": BELOW_LEGEND if several else BOTTOM}
     _heights(panels, layout)
     return {"data": data, "layout": layout}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.report import collect
-from gbspec.report.text import interval_of, number
+from gbspec.report.text import interval_of, number, share
 from gbspec.runs import Run
 
 
@@ -95,7 +95,9 @@ def metrics(validation: JsonObject) -> dict[str, Table]:
     channels = validation["channels"]
     if channels:
         keys = ("n", "rmse", "nrmse", "mae", "r2")
-        rows = tuple((name, *(number(one[key], 5) for key in keys)) for name, one in channels.items())
+        rows = tuple(
+            (name, *(number(one[key], 5) for key in keys[:-1]), share(one[keys[-1]])) for name, one in channels.items()
+        )
         found["on the data"] = Table(("channel", *keys), rows)
     truth = validation.get("truth")
     if truth:

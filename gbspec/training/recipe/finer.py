@@ -138,7 +138,8 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
         chosen = replace(found.options(reached.theta), damping=STEADY)
         newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
         rtol = context.tolerance(fraction)
-        said = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
+        size = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
+        said = f"{size}, since the error of {'twice this step' if rtol is None else 'ten times this one'} showed"
 
         def elsewhere(theta: Array) -> Array:
             """Other initial states, or else what segments lead to."""
