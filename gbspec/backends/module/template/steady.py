@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gbspec.backends.module.template.resting import _calmed
 from gbspec.backends.module.template.vectors import _tensor
 
 # <body>
@@ -150,7 +151,12 @@ def _steady_start(
     if some:
         given = start[rows], condition[rows], inputs[rows]
         constants = tuple(value if value.ndim == 0 else value[rows] for value in constants)
-    found, failed = _rested(equations, m, *given, constants, networks, search) if len(rows) else (start[rows], {})
+    rest = _rested
+    # [resting
+    if any(not timed for _, timed, _ in getattr(equations, "events", ())):
+        rest = _calmed
+    # resting]
+    found, failed = rest(equations, m, *given, constants, networks, search) if len(rows) else (start[rows], {})
     if hasattr(equations, "resumed"):
         found = equations.resumed(m, found, given[1], constants)
     if some:
