@@ -92,15 +92,8 @@ def _none(state: str, reason: str) -> ComputationError:
 
 def _followed(instance: GeneratedModule, start: Array, condition: Array, inputs: Array, constants: Array) -> Array:
     """The same by the module's steps, which are cut at events. Raises ComputationError."""
-    import torch
-
-    from gbspec.backends.module import steady_starts
-
-    weights = {name: torch.as_tensor(value, dtype=torch.float64) for name, value in instance.weights.items()}
-    given = (torch.as_tensor(value, dtype=torch.float64)[None] for value in (start, condition, inputs))
-    known = torch.as_tensor(constants, dtype=torch.float64).unbind()
-    with torch.no_grad():
-        found, failed = steady_starts(instance, *given, known, instance.torch_networks(weights))
-    for state, reason in failed.values():
-        raise _none(state, reason)
-    return np.array(found[0].numpy(force=True), dtype=np.float64)
+    equations = instance.equations
+    found, failed = equations.followed(instance, start, condition, inputs, constants)
+    for place, reason in failed.values():
+        raise _none(instance.states[equations.steady_states[place]], reason)
+    return np.array(found, dtype=np.float64)

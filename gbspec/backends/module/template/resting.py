@@ -10,12 +10,12 @@ from gbspec.backends.module.template.vectors import _tensor
 # <body>
 # ---------------------------------------------------------------------- steady starts with events
 # Where events lie on the way to a steady state, the solution itself is followed, row by row: by steps of the module's
-# method that are cut at events, each compared with two of half its size. Where the Jacobian at rest is regular, Newton's
-# method ends it, and derivatives are those of the implicit function; else the rest is where the solution ended, with the
-# derivatives of the steps.
+# method that are cut at events, each compared with two of half its size. Where the Jacobian at rest is regular,
+# Newton's method ends it, and derivatives are those of the implicit function; else the rest is where the solution
+# ended, with the derivatives of the steps.
 
 _PRECISE = 1e-9  # error of a step, relative
-_PATIENCE = 20_000  # most steps
+_PATIENCE = 3_000  # most steps
 _ENDLESS = "the solution from the declared starts, with its events, does not come to rest"
 
 
@@ -50,32 +50,37 @@ class _Follower:
     """The solution of one row from its declared start; conditions and inputs do not change on the way."""
 
     def __init__(self, equations: Any, m: Any, given: Any, inputs: Any) -> None:
+        import torch
+
         self.equations, self.m, self.given, self.u = equations, m, given, (inputs, inputs)
         self.free = list(equations.steady_states)
+        self.rounding = torch.finfo(inputs.dtype).eps
+        self.precise = max(_PRECISE, 200 * self.rounding)
 
     def rest(self, x: Any) -> tuple[Any, tuple[int, str] | None]:
         """The state at rest [1, n], or the state that moves most and the reason."""
         import torch
 
-        calm, origin, h, floor = None, 0.0, None, None
+        origin, band, trouble, h, floor = 0.0, 0.0, "", None, None
         for _ in range(_PATIENCE):
             f, size = self.slopes(x).detach(), x.detach().abs()
             if floor is None:
-                floor = torch.maximum(1e-3 * size, 1e-6 * size.amax().clamp(min=1e-290))
+                floor = torch.maximum(1e-3 * size, 1e-6 * size.amax().clamp(min=torch.finfo(x.dtype).tiny))
             size = size + floor
             if self.still(x, f, size):
                 return self.ended(x, size), None
             if h is None:
                 h = 1e-2 / float((f.abs() / size).amax())
-            calm = _Calm(self.equations, self.given, self.given, max(1e-11 * h, calm.band if calm else 0.0), False)
+            band = max(max(1e-11, 4 * self.rounding) * h, band)
+            calm = _Calm(self.equations, self.given, self.given, band, False)
             with torch.no_grad():
                 error = self.error(calm, h, x.detach(), origin, size)
             if error <= 1.0:
                 x, origin = self.halves(calm, h, x, origin), -1.0
-            elif calm.trouble or h * float((f.abs() / size).amax()) < 1e-15:
+            elif (trouble := calm.trouble) or h * float((f.abs() / size).amax()) < 1e-15:
                 break
             h *= min(max(0.8 * max(error, 1e-10) ** -0.2, 0.2), 4.0) if error < float("inf") else 0.2
-        return x, (int((f.abs() / size)[0, self.free].argmax()), calm.trouble or _ENDLESS)
+        return x, (int((f.abs() / size)[0, self.free].argmax()), trouble or _ENDLESS)
 
     def slopes(self, x: Any) -> Any:
         """The rates of change [1, n]."""
@@ -95,7 +100,7 @@ class _Follower:
     def error(self, calm: Any, h: float, x: Any, origin: float, size: Any) -> float:
         """The difference of one step and two of half its size, in what is accepted."""
         once, twice = calm.across(0.0, h, x, self.u, origin, None), self.halves(calm, h, x, origin)
-        found = float(((once - twice).abs() / (_PRECISE * (size + twice.abs()))).amax())
+        found = float(((once - twice).abs() / (self.precise * (size + twice.abs()))).amax())
         return found if found == found else float("inf")
 
     def still(self, x: Any, f: Any, size: Any) -> bool:
@@ -109,7 +114,7 @@ class _Follower:
         moving = sizes > 1e-12 * sizes.amax()
         if not bool(moving.any()) or float(rates.real.amax()) > 1e-9 * float(sizes.amax()):
             return False
-        return float((f.abs() / size).amax()) <= _PRECISE * float(sizes[moving].amin())
+        return float((f.abs() / size).amax()) <= self.precise * float(sizes[moving].amin())
 
     def rates(self, x: Any) -> Any:
         import torch
@@ -138,8 +143,9 @@ class _Follower:
         z = x
         for _ in range(4):
             matrix = self.jacobian(z) * scale
-            values = torch.linalg.svdvals(matrix / matrix.abs().amax(-1, keepdim=True).clamp(min=1e-290))
-            if not bool(torch.isfinite(values).all()) or float(values[-1]) < 1e-10 * float(values[0]):
+            tiny = torch.finfo(matrix.dtype).tiny
+            values = torch.linalg.svdvals(matrix / matrix.abs().amax(-1, keepdim=True).clamp(min=tiny))
+            if not bool(torch.isfinite(values).all()) or not float(values[-1]) > 1e-10 * float(values[0]):
                 return x
             # Only what rests is without the steps' derivatives: these are those of the implicit function.
             begun = x.index_copy(-1, self.places(x), z.detach()[:, self.free])

@@ -228,3 +228,20 @@ def _steady_starts(module: Any, start: Any, condition: Any, inputs: Any, constan
         name = module.states[module.equations.steady_states[place]]
         raise ArithmeticError(f"there is no steady start of `{name}` in row {row}: {reason}")
     return found.reshape(*shape, found.shape[-1])
+
+
+# [resting
+def _followed(module: Any, start: Any, condition: Any, inputs: Any, constants: Any) -> Any:
+    """What `_steady_start` returns, of one start [n] in double precision, in arrays."""
+    import torch
+
+    like = torch.zeros((), dtype=torch.float64)
+    known = {name: _tensor(value, like) for name, value in module.weights.items()}
+    given = (_tensor(value, like)[None] for value in (start, condition, inputs))
+    m, own = module.arithmetic("torch"), _tensor(constants, like).unbind()
+    with torch.no_grad():
+        found, failed = _steady_start(module.equations, m, *given, own, module.torch_networks(known))
+    return found[0].numpy(force=True), failed
+
+
+# resting]
