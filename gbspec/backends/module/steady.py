@@ -58,7 +58,7 @@ def _followed(model: Model) -> list[str]:
     document = (
         "A start [n] with its steady state in place of the declared one, and the failure if there is none; numpy."
     )
-    return [method_text("@staticmethod", "followed", given, document, [f"return _followed({', '.join(given)})"])]
+    return [method_text("@staticmethod", "followed", given, document, [f"return _followed_start({', '.join(given)})"])]
 
 
 def _resumed(model: Model) -> list[str]:

@@ -231,16 +231,16 @@ def _steady_starts(module: Any, start: Any, condition: Any, inputs: Any, constan
 
 
 # [resting
-def _followed(module: Any, start: Any, condition: Any, inputs: Any, constants: Any) -> Any:
+def _followed_start(module: Any, start: Any, condition: Any, inputs: Any, constants: Any) -> Any:
     """What `_steady_start` returns, of one start [n] in double precision, in arrays."""
     import torch
 
     like = torch.zeros((), dtype=torch.float64)
     known = {name: _tensor(value, like) for name, value in module.weights.items()}
-    given = (_tensor(value, like)[None] for value in (start, condition, inputs))
+    x, c, u = (_tensor(value, like)[None] for value in (start, condition, inputs))
     m, own = module.arithmetic("torch"), _tensor(constants, like).unbind()
     with torch.no_grad():
-        found, failed = _steady_start(module.equations, m, *given, own, module.torch_networks(known))
+        found, failed = _steady_start(module.equations, m, x, c, u, own, module.torch_networks(known))
     return found[0].numpy(force=True), failed
 
 
