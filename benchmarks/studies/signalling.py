@@ -162,7 +162,7 @@ def main() -> None:
     seconds = time.process_time() - begun
     found = run.evaluate(str(made.data))
     learned = {name: float(run.constants[name]) for name in TRUTH}
-    text = page(best, constants, found.nllh, learned, start, seconds, str(made.model.name))
+    text = page(best, constants, found.nllh, learned, start, seconds, Path(made.model).name)
     print(text)
     if given.out is not None:
         given.out.write_text(text, encoding="utf-8")
