@@ -74,6 +74,10 @@ class Equations(Protocol):
     def settled(self, slopes: Value, jacobians: Value, start: Value, laws: Value, /) -> Value:
         """The steady states [P, s] reached from starts, numpy, and the failures by row; in such models."""
 
+    def followed(self, module: Value, start: Value, condition: Value, inputs: Value, constants: Value, /) -> Value:
+        """A start [n], numpy, in place of which there is the steady state that is reached, and the failure if there is
+        none; where events may happen on the way, for an instance of the module."""
+
     def doses(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
         """For each dose the fraction of it that arrives, and the lag after which it does."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from gbspec.imports.formulas import Formula, number, substituted, walk
 
@@ -82,6 +83,45 @@ def _value(node: Formula, known: Mapping[str, float]) -> float:
             return _OPERATORS[head](*(_value(part, known) for part in node.parts))
         case _:
             raise NotConstantError
+
+
+def decided(formula: Formula, known: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> bool | None:
+    """Whether a condition holds wherever names of `ranges` lie between their bounds; None if that is not known."""
+    from mpmath import iv
+
+    def value(node: Formula) -> Any:
+        match node.head:
+            case "number":
+                return iv.mpf(node.value)
+            case "name" if node.name in known:
+                return iv.mpf(known[node.name])
+            case "name" if node.name in ranges:
+                return iv.mpf(list(ranges[node.name]))
+            case "true" | "false":
+                return node.head == "true"
+            case "and" | "or" | "not":
+                return logical(node.head, [value(part) for part in node.parts])
+            case "call" if node.name in ("exp", "log", "sqrt"):
+                return getattr(iv, node.name)(value(node.parts[0]))
+            case "+" | "-" | "*" | "/" | "neg" | "<" | "<=" | ">" | ">=":
+                return _OPERATORS[node.head](*map(value, node.parts))
+            case _:
+                raise NotConstantError
+
+    try:
+        found = value(formula)
+    except (NotConstantError, ArithmeticError, ValueError, TypeError):
+        return None
+    return found if isinstance(found, bool) else None
+
+
+def logical(word: str, parts: list[bool | None]) -> bool | None:
+    """`and`, `or` and `not` of what may not be known."""
+    if word == "not":
+        return None if parts[0] is None else not parts[0]
+    if (word == "or") in parts:
+        return word == "or"
+    return None if None in parts else word == "and"
 
 
 def has_rounding(formula: Formula) -> bool:

@@ -24,8 +24,8 @@ class Quantity:
     """A constant, an intermediate, or a state with its start and its balance; `learn` are the clauses of a constant
     that is learned, after its value.
 
-    `unit` is a text of the language. A constant that follows a table (`condition`) has its default as the value.
-    Only events change a state that is `discrete`.
+    `unit` is a text of the language; `range` are the bounds of a constant that is learned. A constant that follows a
+    table (`condition`) has its default as the value. Only events change a state that is `discrete`.
     """
 
     id: str
@@ -33,6 +33,7 @@ class Quantity:
     description: str = ""
     unit: str | None = None
     learn: str | None = None
+    range: tuple[float, float] | None = None
     condition: bool = False
     discrete: bool = False
 

@@ -85,9 +85,13 @@ class Evaluation(Tabled):
 
 def of_model(model: Model, data: Trajectories, values: Mapping[str, float] | None = None) -> Evaluation:
     """The objective of a model on data: learnables at their values, else their truths, else their starts."""
-    made = known(model, values or {})
+    values = dict(values or {})
+    implied = {k.name: values.pop(k.name) for k in model.implied if k.name in values}
+    made = known(model, values)
     constants = np.tile([k.start for k in made.learnables], (len(data), 1))
-    return _evaluated(made, data, constants, _starts(made, data, None), {}, {})
+    if made.distributed:
+        _require_noise(made, implied)
+    return _evaluated(made, data, constants, _starts(made, data, None), {}, {}, implied)
 
 
 @packages()
@@ -98,6 +102,8 @@ def of_run(
     from gbspec.analysis import learned_positions
     from gbspec.operations.models import set_values
 
+    values = dict(values or {})
+    implied = {k.name: values.pop(k.name) for k in run.model.implied if k.name in values}
     chosen = set_values(run, values)
     number = chosen.best if member is None else member
     instance = chosen.member(number)
@@ -110,8 +116,63 @@ def of_run(
             if own is not None and place is not None:
                 constants[j, i] = own[place]
     learned = _learned_starts(chosen, instance, data)
-    noise = {name: sd for name, sd in chosen.fit.noise.items() if sd}
-    return _evaluated(chosen.model, data, constants, _starts(chosen.model, data, learned), instance.weights, noise)
+    noise = _noise_of_run(chosen, number)
+    population = {**_population_of_run(chosen, number), **{k: float(v) for k, v in values.items()}, **implied}
+    starts = _starts(chosen.model, data, learned)
+    return _evaluated(chosen.model, data, constants, starts, instance.weights, noise, population)
+
+
+def _noise_of_run(run: Run, number: int) -> dict[str, float]:
+    """The standard deviations of channels that a member has learned."""
+    record = run.fit.members[run.numbers.index(number)]
+    if record.likelihood is not None:
+        return {name: one.value for name, one in record.likelihood.noise.items()}
+    return {name: sd for name, sd in run.fit.noise.items() if sd}
+
+
+def _population_of_run(run: Run, number: int) -> dict[str, float]:
+    """The parameters of a population by name, as the best member has learned them. Raises UserError (GB888)."""
+    model, record = run.model, run.fit.population
+    if not model.distributed or record is None:
+        return {}
+    reason = f"member {number} of a population, which is not the best," if number != run.best else ""
+    if any(len(group) > 2 for group in model.correlated):
+        reason = "a run with three or more constants that are correlated (`correlate`)"
+    if reason:
+        message = f"`gbspec evaluate` is not offered yet for {reason}"
+        help = "evaluate the model, with the values of the run by `--set`"
+        raise UserError([Diagnostic("GB888", message, None, help=help)])
+    known = np.asarray(run.member(number).weights["constants"], dtype=np.float64)[len(model.constants) :]
+    found = {k.name: float(value) for k, value in zip(model.learnables, known, strict=True)}
+    for learnable in model.distributed:
+        made, effect = learnable.distribution, record.effects[learnable.name]
+        assert made is not None
+        found[learnable.name] = effect.median
+        each = [(made.spread, effect)] if made.spread is not None else []
+        for level in made.levels:
+            mine = record.effects.get(f"{learnable.name} per {level.column}", effect)
+            each += [(level.spread, mine)] if level.spread is not None else []
+        found |= {name: one.sd for name, one in each if name is not None}
+    for a, b in model.correlated:
+        pair = next(k.name for k in model.implied if k.name.startswith(f"correlation_{a}_{b}"))
+        found[pair] = record.correlations.get(a, {}).get(b, 0.0)
+    implied = {k.name for k in model.implied}
+    for channel in model.channels:
+        value, sd = None if channel.noise is None else channel.noise.value, run.fit.noise.get(channel.name)
+        if value is not None and value.is_Symbol and value.name in implied and sd:
+            found[value.name] = sd
+    return found
+
+
+def _require_noise(model: Model, implied: Mapping[str, float]) -> None:
+    """Raises UserError (GB886) for a channel of a population whose noise nothing says."""
+    names = {k.name for k in model.implied}
+    for channel in model.channels:
+        value = None if channel.noise is None else channel.noise.value
+        if value is not None and value.is_Symbol and value.name in names - implied.keys():
+            message = f"values of `{channel.name}` have no standard deviation, and so no likelihood"
+            help = f"write `noise normal(…)` after `observe {channel.name}`, or `--set {value.name}=…`"
+            raise UserError([Diagnostic("GB886", message, channel.span, help=help)])
 
 
 @packages()
@@ -122,13 +183,17 @@ def _evaluated(
     starts: Array,
     weights: Mapping[str, Array],
     noise: Mapping[str, float],
+    population: Mapping[str, float],
 ) -> Evaluation:
-    from gbspec.training import Given, evaluate
+    from gbspec.training import Given, check_limits, evaluate, evaluate_integral, parameters_of
 
-    _offered(model)
-    model = _with_declared_noise(model)
-    _with_noise(model, data, noise)
-    found = evaluate(model, data, Given(np.asarray(constants, dtype=np.float64), starts, weights, noise))
+    check_limits(model, data)
+    known = parameters_of(model, population) if model.distributed else {}
+    if not model.distributed:
+        model = _with_declared_noise(model)
+        _with_noise(model, data, noise)
+    solved = evaluate_integral if model.distributed or model.diffusions else evaluate
+    found = solved(model, data, Given(np.asarray(constants, dtype=np.float64), starts, weights, noise, known))
     findings = Findings()
     if found.accuracy > ASKED:
         message = f"the likelihood is known to {found.accuracy:.2g} of its size only, by the error of the integration"
@@ -146,17 +211,6 @@ def known(model: Model, values: Mapping[str, float]) -> Model:
     true = with_truth(changed)
     free = tuple(replace(k, start=truths.get(k.name, k.start)) for k in changed.learnables)
     return replace(true, constants=changed.constants, learnables=free)
-
-
-def _offered(model: Model) -> None:
-    """Raises UserError (GB888) for objectives that are not those of whole solutions."""
-    reason = "random disturbances (`diffusion`)" if model.diffusions else ""
-    if model.distributed:
-        reason = "constants that are distributed between trajectories (`~`)"
-    if reason:
-        message = f"`gbspec evaluate` is not offered yet for a model with {reason}"
-        help = "`gbspec train` writes its objective at the optimum into `fit.json`, under `objective`"
-        raise UserError([Diagnostic("GB888", message, None, help=help)])
 
 
 def _with_declared_noise(model: Model) -> Model:

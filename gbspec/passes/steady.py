@@ -7,7 +7,7 @@ from dataclasses import replace
 import sympy
 
 from gbspec.diagnostics import Findings, Span
-from gbspec.ir import Model, symbol
+from gbspec.ir import Event, Model, symbol
 from gbspec.passes.conservation import linear_laws
 
 
@@ -41,6 +41,8 @@ def with_steady_start(model: Model, findings: Findings) -> Model:
 
 
 def _refuse_together(model: Model, place: Span | None, findings: Findings) -> None:
+    watched = [event for event in model.events if event.guard is not None]
+    alone = () if model.steady is None else model.steady.states
     reasons = [
         (bool(model.diffusions), "random disturbances (`diffusion`)", "leave one of them out"),
         (
@@ -51,11 +53,27 @@ def _refuse_together(model: Model, place: Span | None, findings: Findings) -> No
         (bool(model.algebraics), "algebraic variables", "give the starts as expressions"),
         (bool(model.delays), "delays", "give the starts as expressions, and the past by `history`"),
         (
-            any(event.guard is not None for event in model.events),
-            "events with a condition (`when`)",
-            "start at values, and let the model run before the first row",
+            any(event.armed for event in watched),
+            "events that count at the start of a trajectory (`armed`)",
+            "leave out `armed`: conditions that are true at rest do not become true at the start",
+        ),
+        (
+            bool(watched) and set(alone) != {i for i, state in enumerate(model.states) if not state.discrete},
+            "events with a condition (`when`) where only some states start so",
+            "write `initial steady`, for all of them",
+        ),
+        (
+            any(_timed(model, event) for event in watched),
+            "events whose condition (`when`) depends on the time, or that happen `after` a delay",
+            "write `event … at`, which counts from the start of a trajectory",
         ),
     ]
     for there, what, help in reasons:
         if there:
             findings.error("GB375", f"a steady start is not offered together with {what}", place, help=help)
+
+
+def _timed(model: Model, event: Event) -> bool:
+    """Whether the time matters to an event with a condition, which may happen on the way to the steady state."""
+    values = model.inlined([*([] if event.guard is None else [event.guard]), *(value for _, value in event.values)])
+    return any(model.time.symbol in value.free_symbols for value in values)

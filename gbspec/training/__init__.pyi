@@ -1,3 +1,5 @@
+from .evaluation.integrated import evaluate_integral as evaluate_integral
+from .evaluation.integrated import parameters_of as parameters_of
 from .evaluation.point import Evaluated as Evaluated
 from .evaluation.point import Given as Given
 from .evaluation.point import evaluate as evaluate
@@ -10,6 +12,7 @@ from .progress import Progress as Progress
 from .progress import Silent as Silent
 from .progress import Update as Update
 from .recipe.context import split as split
+from .recipe.disturbed import check_limits as check_limits
 from .runs.filtering import FilteredRun as FilteredRun
 from .runs.filtering import filter_run as filter_run
 from .runs.fit import train as train

@@ -112,3 +112,45 @@ def test_who_does_not_start_so_needs_no_steady_state() -> None:
     one = evaluator_of("condition c\nstate x = 1\nx' = c - x^2\ninitial steady when c > 0\n")
     assert one.initial([0.0], [-1.0])[0] == 1.0
     assert one.instance.initial([[0.0]] * 2, [[-1.0], [4.0]]).ravel().tolist() == pytest.approx([1.0, 2.0])
+
+
+ONCE = """learn k = 2
+learn b = 0.5
+state x = 1
+discrete on = 0
+x' = k*(1 + on) - b*x^2
+event tip when x > 1.5 and on < 0.05: on = b, x = x/2
+initial steady
+"""
+
+
+def test_events_happen_on_the_way() -> None:
+    """At rest k*(1 + b) = b*x^2, with the derivatives of that."""
+    one = evaluator_of(ONCE)
+    assert one.initial(np.zeros(2)) == pytest.approx([6**0.5, 0.5], rel=1e-12)
+    k = torch.tensor([2.0, 0.5], dtype=torch.float64, requires_grad=True)
+    start = one.instance.initial(torch.zeros(2).double(), constants={"k": k[0], "b": k[1]})
+    assert start[0].item() == pytest.approx(6**0.5, rel=1e-12)
+    (slopes,) = torch.autograd.grad(start[0], k)
+    np.testing.assert_allclose(slopes, [3 / 2 / 6**0.5, -2 / 0.25 / 2 / 6**0.5], rtol=1e-9)
+
+
+def test_what_stays_where_it_stops_has_the_derivatives_of_its_way() -> None:
+    """b keeps what a has lost when a = 1/2, and half of it again: 2*(s - 1/2), once."""
+    one = evaluator_of(
+        "learn s = 2\nstate x = 1\nstate b = 0\ndiscrete on = 1\ninitial x = s\ninitial b = 0\n"
+        "x' = -on*x\nb' = on*x\nevent stop when x < 0.5: on = 0, b = 2*b\ninitial steady\n"
+    )
+    s = torch.tensor([2.0], dtype=torch.float64, requires_grad=True)
+    start = one.instance.initial(torch.zeros(3).double(), constants={"s": s[0]})
+    np.testing.assert_allclose(start.detach(), [0.5, 3.0, 0.0], rtol=1e-8)
+    assert float(torch.autograd.grad(start[1], s)[0]) == pytest.approx(2.0, rel=1e-7)
+    single = one.instance.initial(torch.zeros(3))
+    np.testing.assert_allclose(single, [0.5, 3.0, 0.0], rtol=1e-4)
+
+
+def test_events_without_an_end_have_no_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbspec.backends.module.template.resting._PATIENCE", 60)
+    one = evaluator_of("state x = 1\nx' = 2 - x\nevent tip when x > 1.5: x = x/2\ninitial steady\n")
+    with pytest.raises(ComputationError, match=r"`x`: the solution .* with its events, does not come to rest"):
+        one.initial([0.0])

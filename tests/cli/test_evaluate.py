@@ -77,7 +77,8 @@ def test_the_likelihood_and_its_gradient_are_those_of_the_closed_form(place: Pat
 def test_from_python_a_result_is_a_frame(place: Path) -> None:
     found = package.evaluate("conversion.gb", "data.csv", values={"k1": 0.9})
     assert found.nllh == pytest.approx(closed(0.9, 0.6, 0.5), rel=1e-8)
-    assert found.to_frame().columns == ["trajectory", "t", "channel", "value", "measured", "sd", "residual"]
+    columns = ["trajectory", "t", "channel", "value", "measured", "sd", "residual", "limit"]
+    assert found.to_frame().columns == columns
     assert "d nllh/d k1" in str(found)
 
 
@@ -112,7 +113,6 @@ def test_a_run_is_evaluated_with_its_networks_starts_and_noise(
     [
         ("state X = 1\nX' = -k*X\nobserve X\n", "GB886"),
         ("state X = 1\nstate Y\nX' = -k*X + Y\nY' = -Y\nobserve X noise normal(1)\n", "GB887"),
-        ("state X = 1\nX' = -k*X\ndiffusion X = 0.1\nobserve X noise normal(1)\n", "GB888"),
     ],
 )
 def test_what_cannot_be_evaluated_is_said(here: Path, gbspec: Run, text: str, code: str) -> None:

@@ -101,7 +101,7 @@ def test_what_has_no_form_is_refused(tmp_path: Path, name: str, text: str, reaso
     assert any(reason in one.message for one in raised.value.diagnostics), raised.value
 
 
-@pytest.mark.parametrize("case", ["0007", "0009", "0017", "0029", "0031"])
+@pytest.mark.parametrize("case", ["0007", "0009", "0017", "0023", "0029", "0031"])
 def test_cases_of_the_suite(case: str) -> None:
     from benchmarks.studies.petab import judged
 

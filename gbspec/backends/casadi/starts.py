@@ -52,6 +52,8 @@ def steady_start(
     Raises ComputationError, with the state, where there is none.
     """
     equations, m = instance.equations, instance.arithmetic("numpy")
+    if any(not timed for _, timed, _ in getattr(equations, "events", ())):
+        return _followed(instance, start, condition, inputs, constants)
     free = list(equations.steady_states)
     own = condition
     condition, inputs, rows, chosen = equations.steady(m, condition, inputs, tuple(constants))
@@ -74,11 +76,24 @@ def steady_start(
 
     found, failed = equations.settled(slopes, jacobians, start[free][None], laws)
     for place, reason in failed.values():
-        raise ComputationError(
-            f"there is no steady start of `{instance.states[free[place]]}`: {reason}",
-            where="the search for the steady state, from the declared starts",
-            remedy="give a start nearer to the steady state (`state X = …`), or a start in place of `initial steady`",
-        )
+        raise _none(instance.states[free[place]], reason)
     if not hasattr(equations, "resumed"):
         return whole(found)
     return np.array(equations.resumed(m, whole(found), own, tuple(constants)), dtype=np.float64)
+
+
+def _none(state: str, reason: str) -> ComputationError:
+    return ComputationError(
+        f"there is no steady start of `{state}`: {reason}",
+        where="the search for the steady state, from the declared starts",
+        remedy="give a start nearer to the steady state (`state X = …`), or a start in place of `initial steady`",
+    )
+
+
+def _followed(instance: GeneratedModule, start: Array, condition: Array, inputs: Array, constants: Array) -> Array:
+    """The same by the module's steps, which are cut at events. Raises ComputationError."""
+    equations = instance.equations
+    found, failed = equations.followed(instance, start, condition, inputs, constants)
+    for place, reason in failed.values():
+        raise _none(instance.states[equations.steady_states[place]], reason)
+    return np.array(found, dtype=np.float64)

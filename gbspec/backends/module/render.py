@@ -28,6 +28,7 @@ def generate(model: Model, method: Method = RK4) -> str:
         "delays": model.delays,
         "lookups": model.tables,
         "algebraic": model.algebraics,
+        "resting": model.steady is not None and any(event.guard is not None for event in model.events),
         "steady": model.steady is not None,
     }
     text = template(*(part for part, needed in parts.items() if needed))

@@ -45,8 +45,20 @@ def methods(model: Model) -> list[str]:
             ["return _settled(slopes, jacobians, start, laws)"],
         ),
         method_text("@classmethod", "steady", ["cls", "math", "condition", "inputs", "constants"], document, body),
+        *_followed(model),
         *_resumed(model),
     ]
+
+
+def _followed(model: Model) -> list[str]:
+    """`followed`, where events lie on the way."""
+    if not any(event.guard is not None for event in model.events):
+        return []
+    given = ["module", "start", "condition", "inputs", "constants"]
+    document = (
+        "A start [n] with its steady state in place of the declared one, and the failure if there is none; numpy."
+    )
+    return [method_text("@staticmethod", "followed", given, document, [f"return _followed_start({', '.join(given)})"])]
 
 
 def _resumed(model: Model) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import yaml
 
@@ -11,6 +12,8 @@ from gbspec.data import Trajectories
 from gbspec.exports.example import Example
 from gbspec.exports.made import ExportOptions, Made, record
 from gbspec.exports.petab.courses import Courses, Lines
+from gbspec.exports.petab.networks import AgainError, Hybrid, Networks, extension, weights
+from gbspec.exports.petab.networks import files as network_files
 from gbspec.exports.petab.tables import Observed, experiments, parameters
 from gbspec.exports.sbml import Document, remarks
 from gbspec.exports.subject import Exported
@@ -26,21 +29,42 @@ def make(exported: Exported, example: Example, options: ExportOptions) -> Made:
     model = exported.model
     if any(one.per_trajectory for one in model.learnables):
         raise NotCoveredError("it has constants of single trajectories (`per trajectory`), which is not offered yet")
-    document = Document(exported)
+    document, networks = _document(exported)
     lines = _lines(document)
     courses = Courses(document, lines, starts)
     made = [courses.course(name, i, item) for i, (name, item) in enumerate(zip(_labels(data), data.items, strict=True))]
     observed = Observed(document, data, lines)
     files = {
-        PROBLEM: _problem(document).encode(),
+        PROBLEM: b"",
         "observables.tsv": observed.observables(),
         "measurements.tsv": observed.measurements(made),
-        "parameters.tsv": parameters(document, model.learnables),
         **experiments(made),
     }
+    hybrid = list(networks.found.values())  # complete, now that all formulas are written
+    for one in hybrid:
+        for name in one.outputs:
+            document.quantity(name, "", None, value=0.0, constant=True)
+    files["parameters.tsv"] = parameters(document, model.learnables, weights(hybrid))
+    files[PROBLEM] = _problem(document, hybrid).encode()
+    files |= network_files(hybrid)
     files["model.xml"] = document.text().encode()
     files |= {"model.gb": model.text.encode(), "export.json": record(exported, "petab")}
     return Made(files, remarks=tuple(remarks(document)))
+
+
+def _document(exported: Exported) -> tuple[Document, Networks]:
+    """The model's document, and its networks; those that are applied twice are in formulas."""
+    formulas: frozenset[int] = frozenset()
+    while True:
+        try:
+            document = Document(exported, lambda e, names: Networks(e, names, formulas))  # noqa: B023 - called here
+            for channel in exported.model.channels:
+                document.infix(channel.value)
+        except AgainError as problem:
+            formulas |= {problem.network}
+            continue
+        assert isinstance(document.applications, Networks)
+        return document, document.applications
 
 
 def _labels(data: Trajectories) -> list[str]:
@@ -71,7 +95,7 @@ def _lines(document: Document) -> dict[str, Lines]:
     return found
 
 
-def _problem(document: Document) -> str:
+def _problem(document: Document, networks: Sequence[Hybrid]) -> str:
     made = {
         "format_version": "2.0.0",
         "model_files": {document.model.getId(): {"language": "sbml", "location": "model.xml"}},
@@ -79,5 +103,6 @@ def _problem(document: Document) -> str:
             f"{word}_files": [f"{word}s.tsv"]
             for word in ("condition", "experiment", "measurement", "observable", "parameter")
         },
+        **extension(networks),
     }
     return str(yaml.safe_dump(made, sort_keys=False))

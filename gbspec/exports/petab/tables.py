@@ -46,10 +46,10 @@ def experiments(courses: Sequence[Course]) -> dict[str, bytes]:
     }
 
 
-def parameters(document: Document, learnables: Sequence[Learnable]) -> bytes:
-    """The table of what is estimated."""
+def parameters(document: Document, learnables: Sequence[Learnable], more: Iterable[Sequence[str]] = ()) -> bytes:
+    """The table of what is estimated; `more` are rows beside those of constants."""
     numbers = dict(zip(document.source.constant_names, document.exported.constants, strict=True))
-    rows = []
+    rows: list[Sequence[str]] = []
     for one in learnables:
         kind, given = "", ""
         if one.prior is not None and one.prior.kind == "normal":
@@ -61,7 +61,7 @@ def parameters(document: Document, learnables: Sequence[Learnable]) -> bytes:
         name = document.names(one.name)
         rows.append((name, one.description, low, high, repr(float(numbers[one.name])), "true", kind, given))
     columns = ("parameterId", "parameterName", "lowerBound", "upperBound", "nominalValue", "estimate")
-    return table((*columns, "priorDistribution", "priorParameters"), rows)
+    return table((*columns, "priorDistribution", "priorParameters"), [*rows, *more])
 
 
 class Observed:

@@ -6,7 +6,7 @@ Names, descriptions and units are kept. A network's value is an intermediate of 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -28,7 +28,9 @@ LEVEL, VERSION = 3, 2
 class Document:
     """The document of an exported model; quantities may be added before `text` is asked for."""
 
-    def __init__(self, exported: Exported) -> None:
+    def __init__(
+        self, exported: Exported, applications: Callable[[Exported, Names], Applications] = Applications
+    ) -> None:
         self.exported, self.source = exported, exported.model
         _check(self.source)
         self.document = libsbml.SBMLDocument(LEVEL, VERSION)
@@ -37,7 +39,7 @@ class Document:
         self.names = Names(_names(self.source))
         self.tables: dict[str, str] = {}
         self.printer = Infix(self._symbol, self._table)
-        self.applications = Applications(exported, self.names)
+        self.applications = applications(exported, self.names)
         self._settings = libsbml.L3ParserSettings()
         self._settings.setParseLog(libsbml.L3P_PARSE_LOG_AS_LN)
         self._settings.setParseModuloL3v2(False)

@@ -177,16 +177,16 @@ class _Problem:
         if value is None:
             self._refuse(f"parameter {name}", row, "it has no nominal value")
             return
-        bounds = ""
+        bounds, span = "", None
         if estimated and low is not None and high is not None and not low <= value <= high:
             self._omit(f"parameter {name}", row, "the bounds do not hold the nominal value; they were widened to it")
         if estimated and low is not None and high is not None and low < high:
-            bounds = f"in [{spelled_number(min(low, value))}, {spelled_number(max(high, value))}]"
+            span = min(low, value), max(high, value)
+            bounds = f"in [{spelled_number(span[0])}, {spelled_number(span[1])}]"
         clauses = " ".join(part for part in (bounds, self._prior(row, estimated)) if part)
         description = row.get("parameterName", "")
-        self.constants[name] = Quantity(
-            name, number(value), description if description != name else "", learn=clauses if estimated else None
-        )
+        said, learn = description if description != name else "", clauses if estimated else None
+        self.constants[name] = Quantity(name, number(value), said, learn=learn, range=span)
         if estimated and row.get("parameterScale", "lin") != "lin":
             reason = f"the scale {row['parameterScale']}: the scale of a learnable follows from its bounds"
             self._omit(f"parameter {name}", row, reason)

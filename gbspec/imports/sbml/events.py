@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from gbspec.imports.computing import value_of
-from gbspec.imports.description import Description, Event, Function
+from gbspec.imports.description import Description, Event, Function, Rest
 from gbspec.imports.formulas import (
     FALSE,
     ORDERS,
@@ -17,6 +17,7 @@ from gbspec.imports.formulas import (
     both,
     either,
     named,
+    names,
     negated,
     number,
     walk,
@@ -98,7 +99,7 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
     plain = [
         replace(one, condition=_plain(as_condition(inlined(one.condition, functions)))) for one in symbols.book.events
     ]
-    started = happened_at_start(symbols, out, plain)
+    started, never = happened_at_start(symbols, out, plain)
     for one in plain:
         condition = one.condition
         refuse = symbols.refusing(one)
@@ -108,6 +109,8 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
             continue
         _check_condition(symbols, condition, refuse)
         check_start(symbols, out, condition, refuse)
+        if out.rest is not None:
+            _check_rest(out.rest, condition, refuse)
         values = values_set(symbols, one.values)
         symbols.lines[one.id] = (f"event {one.id}", one.element.getLine())
         out.events.append(
@@ -116,7 +119,7 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
                 condition,
                 values,
                 one.priority,
-                one.armed and one.id not in started,
+                one.armed and one.id not in started and not (out.rest is not None and one.id in never),
                 None if one.delay == ZERO else one.delay,
                 one.delay != ZERO and one.early and any(symbols.changes(value) for _, value in values),
                 one.delay != ZERO and not one.persistent,
@@ -131,6 +134,13 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
                 "it sets a compartment with a species whose concentration has a rate rule, to a value of another time"
             )
             symbols.refusing(symbols.book.event(event.id))(reason)
+
+
+def _check_rest(rest: Rest, condition: Formula, refuse: Callable[[str], None]) -> None:
+    """Refuses a trigger that could become true by what is set when a steady state was found."""
+    changed = {name for name, _ in (*rest.held, *rest.after)}
+    if names(condition) & changed:
+        refuse("its trigger depends on what changes after the steady state, which is not offered yet")
 
 
 def values_set(symbols: Symbols, given: Mapping[str, Formula]) -> tuple[tuple[str, Formula], ...]:

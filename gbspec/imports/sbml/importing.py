@@ -91,9 +91,9 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     for state, rate in book.rates.items():
         out.balances[state] = rate
     _quantities(symbols, out)
-    add_events(symbols, out, {f.id: f for f in functions})
     if change.rest is not None:
         out.rest = replace(change.rest, after=values_set(symbols, dict(change.rest.after)))
+    add_events(symbols, out, {f.id: f for f in functions})
     out.channels = _channels(symbols) if change.channels is None else list(change.channels)
     _with_clock(out, report, model.getLine())
     without_rounding(out, report, symbols.place)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from gbspec.imports.computing import NotConstantError, value_of
+from gbspec.imports.computing import NotConstantError, decided, value_of
 from gbspec.imports.description import Description
 from gbspec.imports.formulas import ORDERS, ZERO, Formula, named, names
 from gbspec.imports.sbml.book import Happening, elements
@@ -56,12 +56,15 @@ def check_start(symbols: Symbols, out: Description, condition: Formula, refuse: 
         refuse("at the start its trigger lies at its threshold without being true, which has no form")
 
 
-def happened_at_start(symbols: Symbols, out: Description, happenings: Sequence[Happening]) -> set[str]:
-    """The events without a delay that happen at the start, after what they set is written into the starts."""
-    made = _Start(symbols, known_values(out))
+def happened_at_start(symbols: Symbols, out: Description, happenings: Sequence[Happening]) -> tuple[set[str], set[str]]:
+    """The events without a delay that happen at the start, after what they set is written into the starts; and those
+    whose trigger is certainly false there."""
+    ranges = {one.id: one.range for one in out.constants if one.learn is not None and one.range is not None}
+    made = _Start(symbols, known_values(out), ranges)
+    never = {one.id for one in happenings if one.armed and made.holds(one) is False}
     firing = [one for one in happenings if one.armed and one.delay == ZERO and made.holds(one, refused=True)]
     if not firing:
-        return set()
+        return set(), never
     others = [one for one in happenings if one not in firing and made.holds(one) is not True]
     made.happen(firing)
     for one in others:
@@ -73,14 +76,14 @@ def happened_at_start(symbols: Symbols, out: Description, happenings: Sequence[H
             out.states[i] = replace(state, value=made.values[state.id])
         elif state.value is not None and names(state.value) & made.changed:  # of the starts before the events
             out.states[i] = replace(state, value=before.of(state.value, states=False))
-    return {one.id for one in firing}
+    return {one.id for one in firing}, never
 
 
 class _Start:
     """The start while events happen at it: `values` of all symbols, in constants."""
 
-    def __init__(self, symbols: Symbols, known: Mapping[str, float]) -> None:
-        self.symbols = symbols
+    def __init__(self, symbols: Symbols, known: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> None:
+        self.symbols, self.ranges = symbols, ranges
         self.known = {name: value for name, value in known.items() if name in symbols.constants}
         self.values: dict[str, Formula | None] = dict(symbols.starts)
         self.changed: set[str] = set()
@@ -93,10 +96,11 @@ class _Start:
         try:
             return bool(value_of(self.of(one.condition), self.known))
         except NotConstantError:
-            if refused:
+            found = decided(self.of(one.condition), self.known, self.ranges)
+            if found is None and refused:
                 reason = "whether it happens at the start cannot be computed, and such events are not offered yet"
                 self.symbols.refusing(one)(reason)
-            return None
+            return found
 
     def happen(self, firing: Sequence[Happening]) -> None:
         """Events in the order of their priorities, each computed when its turn comes."""

@@ -121,7 +121,7 @@ class Algebra:
 
     def general(self, name: str, a: Array) -> Array:
         """Any other function of one argument, its Taylor coefficients by mpmath."""
-        import mpmath  # type: ignore[import-untyped] # comes with sympy, without types
+        import mpmath
 
         function = getattr(mpmath, name)
         return self.compose(self._taylor(a[..., 0], lambda v: list(mpmath.taylor(function, v, self.order))), a)

@@ -6,7 +6,8 @@ With the prediction f and the variance v of a value y, it contributes
 
 and under lognormal noise the same of log y and log f, and log y for the density of y itself. The variance is that of
 the noise that the model states, or of the value's own column `sd_NAME`; where the noise is learned, both are added. An
-average of n values has the variance v/n. Under Student's noise v is the square of the scale.
+average of n values has the variance v/n. Under Student's noise v is the square of the scale. A limit, below or above
+which the measured value lies, contributes minus the logarithm of its probability.
 """
 
 from __future__ import annotations
@@ -48,11 +49,23 @@ class Density:
         f = torch.where(logs, torch.log(safe), mean)
         return f - torch.from_numpy(self.measured.value), torch.sqrt(self._variance(mean, constants))
 
+    def standardised(self, mean: Tensor, constants: Tensor) -> tuple[Tensor, Tensor]:
+        """Residuals in standard deviations, and these [m]; half the square of that of a limit is minus the logarithm
+        of its probability."""
+        residual, sd = self.compared(mean, constants)
+        side = torch.from_numpy(self.measured.side)
+        logs = torch.special.log_ndtr(side * residual / sd)
+        return torch.where(side == 0, residual / sd, -side * torch.sqrt(-2 * logs)), sd
+
     def half(self, mean: Tensor, constants: Tensor) -> Tensor:
         """The contributions [m] to the negative log likelihood."""
         residual, sd = self.compared(mean, constants)
-        jacobian = torch.from_numpy(np.where(self.measured.logarithm, self.measured.value, 0.0))
+        side = torch.from_numpy(self.measured.side)
+        jacobian = torch.from_numpy(
+            np.where(self.measured.logarithm & (self.measured.side == 0), self.measured.value, 0.0)
+        )
         normal = 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian
+        normal = torch.where(side == 0, normal, -torch.special.log_ndtr(side * residual / sd))
         of_channels = np.array([student_noise(c) for c in self.model.channels], dtype=np.bool_)
         heavy = torch.from_numpy(of_channels[self.measured.channel])
         if not bool(heavy.any()):

@@ -10,7 +10,7 @@ past.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from gbspec.training.engines import choose
 from gbspec.training.evaluation.density import Density
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import Individuals, Measured
-from gbspec.training.problem import Control, Problem, pack, scaling_of, teacher_forcing
+from gbspec.training.problem import Control, Integers, Problem, pack, scaling_of, teacher_forcing
 
 ACCURACY = 1e-7
 """The change by a tenth of the tolerance at which a result is accepted."""
@@ -40,18 +40,21 @@ PARTS = (16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 @dataclass(frozen=True)
 class Given:
     """Where a model is evaluated: the learnable constants [N, K] and starts [N, n] of the trajectories, the weights and
-    scales of its networks, and standard deviations of channels that do not state their noise."""
+    scales of its networks, standard deviations of channels that do not state their noise, and the parameters of a
+    population by name."""
 
     constants: Array
     starts: Array
     weights: Mapping[str, Array]
     noise: Mapping[str, float]
+    population: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Value:
     """A measured value with its prediction; `sd` is that of its logarithm under lognormal noise, as is `residual`, the
-    prediction minus the measurement over it."""
+    prediction minus the measurement over it. `limit` is `<` or `>` where the value is a limit below or above which the
+    measured one lies: there half the square of the residual is minus the logarithm of the probability."""
 
     trajectory: str
     t: float
@@ -60,6 +63,7 @@ class Value:
     measured: float
     sd: float
     residual: float
+    limit: str = ""
 
 
 @dataclass(frozen=True)
@@ -154,17 +158,17 @@ def _judged(
     constants = given.constants[measured.owner]
     nllh, by_mean, by_constants = density.slopes(trial.mean, constants)
     gradient = (by_mean[:, None] * trial.by_constants + by_constants).sum(axis=0)
-    residual, sd = (x.numpy() for x in density.compared(torch.from_numpy(trial.mean), torch.from_numpy(constants)))
-    values = _values(model, problem, measured, trial.mean, sd, residual / sd)
+    residual, sd = (x.numpy() for x in density.standardised(torch.from_numpy(trial.mean), torch.from_numpy(constants)))
+    values = _values(model, problem, measured, trial.mean, sd, residual)
     found = Evaluated(
         nllh,
-        float(np.sum((residual / sd) ** 2)),
+        float(np.sum(residual**2)),
         {k.name: float(g) for k, g in zip(model.learnables, gradient, strict=True)},
         values,
         np.inf,
         method.name,
     )
-    return replace(found, accuracy=_change(previous, found)) if previous is not None else found
+    return replace(found, accuracy=change(previous, found)) if previous is not None else found
 
 
 def _values(
@@ -173,7 +177,7 @@ def _values(
     """The measured values with their predictions, trajectory by trajectory in the order of time."""
     packed, row = problem.packed, np.nonzero(problem.seen)[0]
     measurement = np.where(measured.logarithm, np.exp(measured.value), measured.value)
-    order = np.lexsort((measured.channel, packed.row_time[row], measured.owner))
+    signs = {-1: "<", 1: ">", 0: ""}
     return tuple(
         Value(
             packed.labels[measured.owner[i]],
@@ -183,12 +187,18 @@ def _values(
             float(measurement[i]),
             float(sd[i]),
             float(residual[i]),
+            signs[int(measured.side[i])],
         )
-        for i in order
+        for i in ordered(measured.owner, packed.row_time[row], measured.channel)
     )
 
 
-def _change(before: Evaluated, after: Evaluated) -> float:
+def ordered(owner: Integers, time: Array, channel: Integers) -> Integers:
+    """The places of values, trajectory by trajectory in the order of time."""
+    return np.lexsort((channel, time, owner))
+
+
+def change(before: Evaluated, after: Evaluated) -> float:
     """The largest change of the likelihood, a prediction or an entry of the gradient, relative to its size (of
     predictions: at least a hundredth of the largest one of the channel; of the gradient: of its largest entry)."""
     parts = [abs(after.nllh - before.nllh) / max(abs(after.nllh), 1.0)]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gbspec.backends.module.template.resting import _calmed
 from gbspec.backends.module.template.vectors import _tensor
 
 # <body>
@@ -150,7 +151,12 @@ def _steady_start(
     if some:
         given = start[rows], condition[rows], inputs[rows]
         constants = tuple(value if value.ndim == 0 else value[rows] for value in constants)
-    found, failed = _rested(equations, m, *given, constants, networks, search) if len(rows) else (start[rows], {})
+    rest = _rested
+    # [resting
+    if any(not timed for _, timed, _ in getattr(equations, "events", ())):
+        rest = _calmed
+    # resting]
+    found, failed = rest(equations, m, *given, constants, networks, search) if len(rows) else (start[rows], {})
     if hasattr(equations, "resumed"):
         found = equations.resumed(m, found, given[1], constants)
     if some:
@@ -222,3 +228,20 @@ def _steady_starts(module: Any, start: Any, condition: Any, inputs: Any, constan
         name = module.states[module.equations.steady_states[place]]
         raise ArithmeticError(f"there is no steady start of `{name}` in row {row}: {reason}")
     return found.reshape(*shape, found.shape[-1])
+
+
+# [resting
+def _followed_start(module: Any, start: Any, condition: Any, inputs: Any, constants: Any) -> Any:
+    """What `_steady_start` returns, of one start [n] in double precision, in arrays."""
+    import torch
+
+    like = torch.zeros((), dtype=torch.float64)
+    known = {name: _tensor(value, like) for name, value in module.weights.items()}
+    x, c, u = (_tensor(value, like)[None] for value in (start, condition, inputs))
+    m, own = module.arithmetic("torch"), _tensor(constants, like).unbind()
+    with torch.no_grad():
+        found, failed = _steady_start(module.equations, m, x, c, u, own, module.torch_networks(known))
+    return found[0].numpy(force=True), failed
+
+
+# resting]
