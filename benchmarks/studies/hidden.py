@@ -11,7 +11,8 @@ whole solutions, as the first and second rates of change of the measured states,
 ones alters, relative to their deviations (the worst); `fresh`: R² on two trajectories from other initial states and
 with other inputs, without noise, of which `validate` estimates the initial states; `rhs_reference`, `reference`: the
 same of a fit of whole solutions to the same rows that starts at the truth (`--start` with a run that was fitted to
-exact rows of all states). A row is added to OUT/sets.csv as soon as its fit is done; the same command run again
+exact rows of all states); `loss`, `loss_reference`: the mean of half squared residuals of whole solutions, in standard
+deviations of the channels, of both fits. A row is added to OUT/sets.csv as soon as its fit is done; the same command run again
 continues with the missing fits.
 """
 
@@ -53,6 +54,8 @@ FIELDS = (
     "rhs_reference",
     "fresh",
     "reference",
+    "loss",
+    "loss_reference",
     "seconds",
 )
 ROWS, FRESH = 1000, 2
@@ -122,7 +125,8 @@ def one_fit(name: str, noise: float, seed: int) -> list[Row]:
     own, naive = (min(value for value in values if value is not None)
                   for values in ([c.r2 for c in channels], [c.naive for c in channels]))  # fmt: skip
     share = (member.loss or 0.0) / (0.5 * noise**2) if noise else 0.0
-    values = (name, noise, seed, own, naive, share, found[0], reference[0], found[1], reference[1], round(seconds))
+    pairs = [value for pair in zip(found, reference, strict=True) for value in pair]
+    values = (name, noise, seed, own, naive, share, *pairs, round(seconds))
     return [dict(zip(FIELDS, values, strict=True))]
 
 
@@ -155,8 +159,9 @@ def fit_of_all(name: str) -> Path:
 
 def fitted(
     model: Model, data: Trajectories, fresh: Trajectories, true: Array, place: Path, options: TrainOptions
-) -> tuple[MemberRecord, float, float]:
-    """A fit's member, the error of its right-hand side, and its R² on fresh trajectories, of the worst channel."""
+) -> tuple[MemberRecord, float, float, float]:
+    """A fit's member, the error of its right-hand side, its R² on fresh trajectories, of the worst channel, and its
+    loss."""
     from gbspec.analysis import predictions
     from gbspec.backends import Evaluator
     from gbspec.operations import analysing, fitting
@@ -167,7 +172,16 @@ def fitted(
     solved = [one.states for one in predictions(evaluator, run.model, data, run.fit)]
     off = rates_along(evaluator, data, solved, run.model) - true
     error = float(np.max(np.sqrt(np.mean(off**2, axis=0)) / np.std(true, axis=0)))
-    return member, error, min(errors.r2 for errors in analysing.validate(run, fresh).channels.values())
+    fresh_r2 = min(errors.r2 for errors in analysing.validate(run, fresh).channels.values())
+    return member, error, fresh_r2, loss_of(run.model, data, solved)
+
+
+def loss_of(model: Model, data: Trajectories, solved: Sequence[Array]) -> float:
+    """The mean of half squared differences between values and solutions, in standard deviations of the channels."""
+    places = [channel.state for channel in model.channels]
+    values = np.concatenate([item.values for item in data.items])
+    off = (np.concatenate([states[:, places] for states in solved]) - values) / np.std(values, axis=0)
+    return 0.5 * float(np.mean(off**2))
 
 
 def rates(everything: Model, data: Trajectories, model: Model) -> Array:
@@ -223,11 +237,14 @@ def _error(r2: str | float) -> float:
 
 
 def _wanted(chosen: argparse.Namespace) -> Iterable[Key]:
-    return [(name, noise, seed) for seed in range(chosen.seeds) for noise in NOISES for name in reversed(MODELS)]
+    names = [name for name in reversed(MODELS) if any(part in name for part in chosen.models)]
+    return [(name, noise, seed) for seed in range(chosen.seeds) for noise in chosen.noises for name in names]
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--models", nargs="+", default=[""], help="parts of names of models (default: all)")
+    parser.add_argument("--noises", nargs="+", type=float, default=list(NOISES))
 
 
 STUDY = Study("hidden", __doc__, FIELDS, one_fit, by_model, _wanted, table, _options)
