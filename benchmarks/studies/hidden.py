@@ -12,8 +12,8 @@ ones alters, relative to their deviations (the worst); `fresh`: R² on two traje
 with other inputs, without noise, of which `validate` estimates the initial states; `rhs_reference`, `reference`: the
 same of a fit of whole solutions to the same rows that starts at the truth (`--start` with a run that was fitted to
 exact rows of all states); `loss`, `loss_reference`: the mean of half squared residuals of whole solutions, in standard
-deviations of the channels, of both fits. A row is added to OUT/sets.csv as soon as its fit is done; the same command run again
-continues with the missing fits.
+deviations of the channels, of both fits. A row is added to OUT/sets.csv as soon as its fit is done; the same command
+run again continues with the missing fits.
 """
 
 from __future__ import annotations
