@@ -1,6 +1,6 @@
 """Dense data with an unmeasured state: whether the defaults find dynamics, or only that the next value is this one.
 
-    python -m benchmarks.studies.hidden -o hidden --seeds 3 --workers 2
+    python -m benchmarks.studies.hidden -o hidden --seeds 0 1 2 --workers 2
     python -m benchmarks.studies.hidden -o hidden --table docs/studies/hidden.md
 
 Bundled models without one of their channels, and `hidden_tanks.gb`: 1,000 even rows (of one trajectory; of ten for the
@@ -238,11 +238,11 @@ def _error(r2: str | float) -> float:
 
 def _wanted(chosen: argparse.Namespace) -> Iterable[Key]:
     names = [name for name in reversed(MODELS) if any(part in name for part in chosen.models)]
-    return [(name, noise, seed) for seed in range(chosen.seeds) for noise in chosen.noises for name in names]
+    return [(name, noise, seed) for seed in chosen.seeds for noise in chosen.noises for name in names]
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(5)))
     parser.add_argument("--models", nargs="+", default=[""], help="parts of names of models (default: all)")
     parser.add_argument("--noises", nargs="+", type=float, default=list(NOISES))
 

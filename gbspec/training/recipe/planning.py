@@ -173,7 +173,7 @@ class _Planner:
             return None if StageName.HORIZONS in marks else LastFit(self.released, 1.0, 1.0, self._prior, False)
         if StageName.TEACHER not in marks or StageName.HORIZONS in marks:
             return None
-        return LastFit(self.parameters, 1.0, 0.0, self._close, self.values < FEW)
+        return LastFit(self._layout(reached), 1.0, 0.0, self._close, self.values < FEW)
 
     def _automatic(self) -> list[Planned]:
         """The stages of the recipe for unknown functions: see docs/training.md."""
@@ -303,9 +303,11 @@ class _Planner:
         return not self._noisy(reached) and self._whole_error(reached) <= NOISE
 
     def _layout(self, reached: Reached) -> Parameters:
-        """The layout of the last fit: with free initial states where whole solutions were fitted with these."""
-        moved = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
-        return self.released if moved else self.parameters
+        """The layout of the last fit: with free initial states where whole solutions were fitted with these, or where
+        a stage has moved measured ones (their entries are not zero), which no other layout represents."""
+        fitted = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
+        moved = reached.theta[(self.released.free > 0) & (self.parameters.free == 0)].any()
+        return self.released if fitted or moved else self.parameters
 
     def _clean(self, reached: Reached) -> bool:
         return self.options.half_step and StageName.HORIZONS not in reached.marks and not self._noisy(reached)
