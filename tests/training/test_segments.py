@@ -18,6 +18,7 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.options import Backend
+from gbspec.training.recipe import growing
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.growing import GrowingHorizons
 from gbspec.training.recipe.planned import Reached
@@ -159,6 +160,31 @@ def test_growing_horizons_find_a_law_that_intervals_do_not_show() -> None:
     engine = context.engine(whole, 0.0)
     before, after = (float(np.mean(residual_vector(engine, at) ** 2)) for at in (theta, state["theta"]))
     assert after < 0.01 < before, "R² of whole solutions above 0.99"
+
+
+def test_further_attempts_limit_large_residuals_before_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    context = context_of(model_of(DRIVE), drive_data(24, 2.4))
+    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+    whole, kept = context.parameters(fixed, released=True), context.parameters(fixed)
+    theta = whole.vector(context.module.weights)
+    (planned,) = [one for one in plan(context, kept) if one.name is StageName.HORIZONS]
+    stage = planned.make(Reached(theta, {StageName.WARM_START: 2 * theta}))
+    assert isinstance(stage, GrowingHorizons)
+    first, again, second, *_ = stage.starts
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, second)
+    seen: list[bool] = []
+
+    def step(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
+        """Rests in its second iteration."""
+        seen.append(self.options.robust)
+        return Outcome(state, 1.0, len(seen) % 2 == 0)
+
+    monkeypatch.setattr(LevenbergMarquardt, "step", step)
+    monkeypatch.setattr(growing, "horizons", lambda context: (20,))
+    monkeypatch.setattr(GrowingHorizons, "losses", lambda self, theta: (0.1, 0.5))
+    GrowingHorizons(context, whole, [theta, theta], "normal").run(theta)
+    assert seen == [False, False, True, True, False, False], "least squares follow"
 
 
 @pytest.mark.usefixtures("quick_fits")

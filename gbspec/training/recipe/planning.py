@@ -359,14 +359,16 @@ class _Planner:
 
     # ---------------------------------------------------------------- stages
     def _growing(self) -> Planned:
-        """Segments of growing length, from the warm start, from the present vector, and from other random weights."""
+        """Segments of growing length, from the warm start and the present vector, both twice (the second time with
+        large residuals limited), and from other random weights."""
         context, parts = self.context, len(horizons(self.context))
         most = ATTEMPTS[self.effort]
 
         def make(reached: Reached) -> Stage:
             first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]
-            starts = first if not context.points.equations else first[::-1]
-            starts += [self._random(reached.theta, number) for number in range(1, most - 1)]
+            ordered = first if not context.points.equations else first[::-1]
+            starts = [start for start in ordered for _ in range(2)]
+            starts += [self._random(reached.theta, number) for number in range(1, most - len(starts) + 1)]
             return GrowingHorizons(context, self.released, starts[:most], self.effort)
 
         return Planned(StageName.HORIZONS, parts * most, make, self._astray, lambda reached: parts > 0)
