@@ -36,10 +36,10 @@ class Study:
     def run(self) -> None:
         """The command: computes the missing sets, or with `--table` writes the summary of those that are there."""
         chosen = self._chosen()
-        path = chosen.output / "sets.csv"
+        path = chosen.rows or chosen.output / "sets.csv"
         if chosen.table is None:
             os.environ.setdefault("OMP_NUM_THREADS", "1")
-            chosen.output.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             self._compute(path, chosen)
         rows = read(path)
         if not rows:
@@ -57,6 +57,7 @@ class Study:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         parser.add_argument("-o", "--output", type=Path, default=Path(self.name))
+        parser.add_argument("--rows", type=Path, help="the file of the rows (default: sets.csv in the output)")
         parser.add_argument("--workers", type=int, default=1)
         parser.add_argument("--table", type=Path, help="write the table of the finished sets, without fitting")
         self.options(parser)

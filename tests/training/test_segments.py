@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from gbspec.backends.module import load_module
 from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory
@@ -17,8 +18,11 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.options import Backend
+from gbspec.training.recipe import growing
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.growing import GrowingHorizons
+from gbspec.training.recipe.planned import Reached
+from gbspec.training.recipe.planning import plan
 from gbspec.training.recipe.segments import Segments, cut, divisible, horizons
 from gbspec.training.stages import StageName
 from gbspec.training.starts.differentiation import determined, slopes, with_derived
@@ -158,6 +162,31 @@ def test_growing_horizons_find_a_law_that_intervals_do_not_show() -> None:
     assert after < 0.01 < before, "R² of whole solutions above 0.99"
 
 
+def test_further_attempts_limit_large_residuals_before_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    context = context_of(model_of(DRIVE), drive_data(24, 2.4))
+    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+    whole, kept = context.parameters(fixed, released=True), context.parameters(fixed)
+    theta = whole.vector(context.module.weights)
+    (planned,) = [one for one in plan(context, kept) if one.name is StageName.HORIZONS]
+    stage = planned.make(Reached(theta, {StageName.WARM_START: 2 * theta}))
+    assert isinstance(stage, GrowingHorizons)
+    first, again, second, *_ = stage.starts
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, second)
+    seen: list[bool] = []
+
+    def step(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
+        """Rests in its second iteration."""
+        seen.append(self.options.robust)
+        return Outcome(state, 1.0, len(seen) % 2 == 0)
+
+    monkeypatch.setattr(LevenbergMarquardt, "step", step)
+    monkeypatch.setattr(growing, "horizons", lambda context: (20,))
+    monkeypatch.setattr(GrowingHorizons, "losses", lambda self, theta: (0.1, 0.5))
+    GrowingHorizons(context, whole, [theta, theta], "normal").run(theta)
+    assert seen == [False, False, True, True, False, False], "least squares follow"
+
+
 @pytest.mark.usefixtures("quick_fits")
 def test_a_drive_is_trained_with_default_options(tmp_path: Path) -> None:
     run = train(model_of(DRIVE), drive_data(), TrainOptions(workers=1, seed=1), tmp_path / "run")
@@ -181,6 +210,22 @@ def test_whole_solutions_are_fitted_to_exact_data_of_which_a_state_is_not_measur
     measured = model_of(DRIVE + "observe v\n")
     run = train(measured, Trajectories((both,), ("q", "v")), TrainOptions(workers=1, seed=1), tmp_path / "measured")
     assert StageName.WHOLE not in [row["stage"] for row in run.history()]
+
+
+@pytest.mark.parametrize("stage", [StageName.WHOLE, StageName.FINER])
+def test_measured_initial_states_that_an_earlier_stage_moved_stay_where_they_are(stage: StageName) -> None:
+    """Also where the stage that moved them was not followed by one of whole solutions with free initial states."""
+    context = context_of(model_of(DRIVE), drive_data(20))
+    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+    parameters, released = (context.parameters(fixed, released=free) for free in (False, True))
+    theta = parameters.vector(context.module.weights)
+    stages = [planned for planned in plan(context, parameters) if planned.name is stage]
+    for moved, layout in ((theta, parameters), (released.with_starts(theta, np.array([[0.1, 0.0]])), released)):
+        built = stages[0].make(Reached(moved, {StageName.TEACHER: theta}))
+        assert isinstance(built, LevenbergMarquardt)
+        used = built.engine_at(0).parameters
+        np.testing.assert_array_equal(used.start_free, layout.start_free)
+        assert float(used.starts(torch.from_numpy(moved))[0, 0]) == pytest.approx(0.1 if layout is released else 0.0)
 
 
 @pytest.mark.usefixtures("quick_fits")

@@ -23,6 +23,9 @@ FOLLOWED = 0.005
 """A mean loss of whole solutions below this (R² above 0.99) needs no further attempt."""
 AS_SEGMENTS = 3.0
 """Nor does one below this multiple of the loss of the shortest segments, which is due to noise then."""
+LIMITED = (1, 3)
+"""The attempts whose horizons begin with Huber's function, so that segments far from the data count little: an ignition
+at a wrong time in few of them can otherwise keep all the others from the dynamics."""
 SMALL_RIDGE = 1e-8
 """Precision of the weights' prior relative to that of the residuals: it only keeps the equations regular."""
 CANDIDATES = 8
@@ -34,10 +37,11 @@ INNER = "segments."
 class GrowingHorizons:
     """Fits segments of growing length by least squares, from one starting vector after the other.
 
-    The next starting vector is tried where whole solutions do not follow the data. Of the vectors reached with segments
-    of any length the one with the smallest product of two losses is kept: of the shortest segments, and of whole
-    solutions. Where noise alone separates solutions from the data, that is the last one; where the system itself is
-    disturbed, long segments distort the dynamics that short ones show.
+    The next starting vector is tried where whole solutions do not follow the data; in some attempts large residuals
+    are limited in the first iterations with segments of each length, before least squares. Of the vectors reached with
+    segments of any length the one with the smallest product of two losses, neither of them limited, is kept: of the
+    shortest segments, and of whole solutions. Where noise alone separates solutions from the data, that is the last
+    one; where the system itself is disturbed, long segments distort the dynamics that short ones show.
     """
 
     name = StageName.HORIZONS.value
@@ -46,6 +50,7 @@ class GrowingHorizons:
         self.context, self.whole, self.starts = context, whole, list(starts)
         self.horizons = horizons(context)
         self.most = ITERATIONS[effort]
+        self.limiting = self.most // 2
         self.total = self.most * len(self.horizons) * len(self.starts)
         self._made: dict[int, Segments] = {}
 
@@ -58,9 +63,13 @@ class GrowingHorizons:
         """One iteration of Levenberg-Marquardt; after the last one with these segments, the next longer ones."""
         horizon, done = int(scalar(state, "horizon")), int(scalar(state, "done")) + 1
         inner = {name.partition(INNER)[2]: value for name, value in state.items() if name.startswith(INNER)}
-        outcome = self._optimiser(horizon).step(inner, iteration)
+        limited = int(scalar(state, "attempt")) in LIMITED and done <= self.limiting
+        outcome = self._optimiser(horizon, limited).step(inner, iteration)
         theta = self._segments(horizon).merged(outcome.state["theta"])
         new = {**state, **_inner(outcome.state), "done": np.array(float(done)), "theta": theta}
+        if limited and outcome.done:
+            again = self._optimiser(horizon).begin(outcome.state["theta"])
+            return Outcome({**new, **_inner(again), "done": np.array(float(self.limiting))}, outcome.loss, False)
         if not (outcome.done or done >= self.most):
             return Outcome(new, outcome.loss, False)
         return self._after_horizon(self._compared(new), horizon, outcome)
@@ -121,9 +130,9 @@ class GrowingHorizons:
         begun = _inner(self._optimiser(horizon).begin(theta))
         return begun | {"horizon": np.array(float(horizon)), "done": np.array(0.0)}
 
-    def _optimiser(self, horizon: int) -> LevenbergMarquardt:
+    def _optimiser(self, horizon: int, limited: bool = False) -> LevenbergMarquardt:
         segments = self._segments(horizon)
-        options = LevenbergOptions(robust=False, tolerance=1e-2, damping=1e-2, ridge=SMALL_RIDGE)
+        options = LevenbergOptions(robust=limited, tolerance=1e-2, damping=1e-2, ridge=SMALL_RIDGE)
         return LevenbergMarquardt(self.name, self.most, lambda iteration: segments.engine, options)
 
     def _segments(self, horizon: int) -> Segments:

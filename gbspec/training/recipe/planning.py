@@ -173,7 +173,7 @@ class _Planner:
             return None if StageName.HORIZONS in marks else LastFit(self.released, 1.0, 1.0, self._prior, False)
         if StageName.TEACHER not in marks or StageName.HORIZONS in marks:
             return None
-        return LastFit(self.parameters, 1.0, 0.0, self._close, self.values < FEW)
+        return LastFit(self._layout(reached), 1.0, 0.0, self._close, self.values < FEW)
 
     def _automatic(self) -> list[Planned]:
         """The stages of the recipe for unknown functions: see docs/training.md."""
@@ -303,9 +303,11 @@ class _Planner:
         return not self._noisy(reached) and self._whole_error(reached) <= NOISE
 
     def _layout(self, reached: Reached) -> Parameters:
-        """The layout of the last fit: with free initial states where whole solutions were fitted with these."""
-        moved = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
-        return self.released if moved else self.parameters
+        """The layout of the last fit: with free initial states where whole solutions were fitted with these, or where
+        a stage has moved measured ones (their entries are not zero), which no other layout represents."""
+        fitted = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
+        moved = reached.theta[(self.released.free > 0) & (self.parameters.free == 0)].any()
+        return self.released if fitted or moved else self.parameters
 
     def _clean(self, reached: Reached) -> bool:
         return self.options.half_step and StageName.HORIZONS not in reached.marks and not self._noisy(reached)
@@ -357,14 +359,16 @@ class _Planner:
 
     # ---------------------------------------------------------------- stages
     def _growing(self) -> Planned:
-        """Segments of growing length, from the warm start, from the present vector, and from other random weights."""
+        """Segments of growing length, from the warm start and the present vector, both twice (the second time with
+        large residuals limited), and from other random weights."""
         context, parts = self.context, len(horizons(self.context))
         most = ATTEMPTS[self.effort]
 
         def make(reached: Reached) -> Stage:
             first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]
-            starts = first if not context.points.equations else first[::-1]
-            starts += [self._random(reached.theta, number) for number in range(1, most - 1)]
+            ordered = first if not context.points.equations else first[::-1]
+            starts = [start for start in ordered for _ in range(2)]
+            starts += [self._random(reached.theta, number) for number in range(1, most - len(starts) + 1)]
             return GrowingHorizons(context, self.released, starts[:most], self.effort)
 
         return Planned(StageName.HORIZONS, parts * most, make, self._astray, lambda reached: parts > 0)
