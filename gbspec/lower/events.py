@@ -47,6 +47,7 @@ class _Lowering:
         self._model, self._checked, self._findings = model, checked, findings
         self._expression, self._fixed = expression, fixed
         moving = {state.symbol for state in model.states if not state.discrete}
+        moving |= {item.symbol for item in model.algebraics}
         self._moving = moving | {item.symbol for item in model.inputs} | {model.time.symbol}
 
     def event(self, s: ast.EventStatement) -> Event:

@@ -66,11 +66,13 @@ def _put(item: Item, known: Known, findings: Findings) -> Item:
             if argument.name.text in known:
                 _not_a_number(argument.name, known, findings)
 
-    def wanted(node: ast.Expression) -> bool:
-        return _is_category(node, known) or any(_is_category(part, known) for part in _sides(node))
-
     def change(place: Place) -> ast.Expression:
-        return rebuilt(place.expression, lambda node: _in_numbers(node, known, findings), wanted)
+        here = {name: names for name, names in known.items() if name not in place.formals}  # arguments shadow
+
+        def wanted(node: ast.Expression) -> bool:
+            return any(_is_category(part, here) for part in (node, *_sides(node)))
+
+        return rebuilt(place.expression, lambda node: _in_numbers(node, here, findings), wanted)
 
     return Item(with_expressions(statement, change), item.text)
 

@@ -53,7 +53,7 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
         The checked model, or None if there is any error.
     """
     local = Findings()
-    read = categories.expand(own_values.expand(merge(file, local, load)), local)
+    read = categories.expand(own_values.expand(merge(file, local, load), local), local)
     _limited(file, len(read.items))
     settled = conversions.occur(read.items)
     if settled:
@@ -96,7 +96,7 @@ def _check(
     numbers.check(items)
     unknowns.check(items, numbers, findings)
     points = tables.check(items, findings)
-    populations.check(items, names, numbers, findings)
+    populations.check(items, names, numbers, findings, merged)
     noises.check(items, numbers, findings)
     terms = _terms(places_of, names, findings)
     balances.once(items, findings)

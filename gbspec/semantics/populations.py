@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from gbspec.diagnostics import Findings, Label
-from gbspec.semantics.merge import Item
+from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.table import Table
 from gbspec.semantics.vocabulary import suggestion
@@ -18,10 +18,10 @@ GROUPS = frozenset({"trajectory", "subject"})
 """Columns between whose values constants may differ; both mean a trajectory of the data."""
 
 
-def check(items: Iterable[Item], table: Table, numbers: Numbers, findings: Findings) -> None:
+def check(items: Iterable[Item], table: Table, numbers: Numbers, findings: Findings, merged: Merged) -> None:
     """Reports groupings, distributions and correlations that are not possible, and models that mix ways of fitting."""
     items = list(items)
-    _Checks(items, table, numbers, findings).all()
+    _Checks(items, table, numbers, findings, merged).all()
 
 
 def columns(items: Iterable[Item]) -> set[str]:
@@ -36,8 +36,8 @@ def columns(items: Iterable[Item]) -> set[str]:
 
 
 class _Checks:
-    def __init__(self, items: list[Item], table: Table, numbers: Numbers, findings: Findings) -> None:
-        self.items, self.table, self.numbers, self.findings = items, table, numbers, findings
+    def __init__(self, items: list[Item], table: Table, numbers: Numbers, findings: Findings, merged: Merged) -> None:
+        self.items, self.table, self.numbers, self.findings, self.merged = items, table, numbers, findings, merged
         self.learned = [i.statement for i in items if isinstance(i.statement, ast.LearnStatement)]
         self.effects = [i.statement for i in items if isinstance(i.statement, ast.EffectStatement)]
         self.distributed = {s.name.text for s in self.learned if s.per is not None and s.per.spread is not None}
@@ -70,15 +70,27 @@ class _Checks:
         for grouping in statement.groupings:
             self._column(grouping)
             if grouping.spread is None and grouping.column.value not in GROUPS:
-                self.findings.error(
-                    "GB421",
-                    f"a value for each `{grouping.column.value}` without a distribution needs its categories",
-                    grouping.span,
-                    help=f"write `per {grouping.column.value} ~ lognormal`, or declare them, and no other `per`: "
-                    f"`condition {grouping.column.value} in {{a, b}}`",
-                )
+                self._without_distribution(statement, grouping)
             elif first is not None and grouping is not first:
                 self._together(statement, first, grouping)
+
+    def _without_distribution(self, statement: ast.LearnStatement, grouping: ast.Grouping) -> None:
+        """Reports a value for each group whose groups are not known, or that stands with what is not offered."""
+        column = grouping.column.value
+        declared = self.table[column].statement if column in self.table else None
+        message, other = f"a value for each `{column}` without a distribution", f"`per {column} ~ lognormal`"
+        if not (isinstance(declared, ast.ConditionStatement) and declared.categories is not None):
+            if declared is None and not self.merged.lacks(column):
+                return  # perhaps declared by a statement that could not be read
+            message += " needs its categories"
+            help = f"write {other}, or declare them: `condition {column} in {{a, b}}`"
+        elif statement.row:
+            message += " is not offered for a row of constants"
+            help = "declare a constant for each of the row's places"
+        else:
+            message += " has no other `per`"
+            help = f"leave the other out, or write {other}"
+        self.findings.error("GB421", message, grouping.span, help=help)
 
     def _together(self, statement: ast.LearnStatement, first: ast.Grouping, other: ast.Grouping) -> None:
         """Checks a further grouping against the first."""

@@ -153,3 +153,23 @@ observe v
     )
     assert y * 1.7 + 1.9 * z == pytest.approx(3.4)
     assert z - 0.5 * y == pytest.approx(0.7)
+
+
+def test_a_formula_s_variable_is_a_threshold() -> None:
+    """It changes continuously: its crossing is found, with `or` too, where it is no step between two numbers."""
+    text = """model leaking
+time t from 0
+state x in [0, 5]
+discrete n = 0
+learn k = 0.7 in [0.1, 2]
+algebraic y in [-5, 5] = 1
+x' = 0.8 - 0.1*y
+equation e: y*(1 + k) = x
+event up when y >= 0.9: n = n + 1
+event other when y >= 0.9 or x >= 4: n = n + 1
+observe x
+observe n
+"""
+    model = built(text)
+    assert len(model.events) == 2
+    assert not any(event.guard is not None and event.guard.has(sympy.Piecewise) for event in model.events)
