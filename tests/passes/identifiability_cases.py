@@ -12,7 +12,6 @@ OVER = "state x in [0, {}]\nlearn k = 1\nx' = -k*max(x - 5, 0)\nobserve x\n"
 SIDES = "state x in [{}, 10]\nlearn a = 2\nlearn b = 1\nx' = -(a + b*sign(x - 2))*x\nobserve x\n"
 
 
-
 def chain(first: str, last: str, starts: bool) -> str:
     """Seven states in a row, the last of which is observed; the first has a known source."""
     names = [f"x{i}" for i in range(1, 8)]

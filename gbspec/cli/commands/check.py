@@ -111,7 +111,8 @@ def examination_summary(examination: Examination) -> str:
     lines = [f"conserved {law}\n" for law in examination.laws]
     if not examination.identifiability.decided:
         doubtful = ", ".join(examination.identifiability.doubtful)
-        reason = f" for {doubtful}: it depends on which branches, values and time scales the data reach" if doubtful else ""
+        reached = "it depends on which branches, values and time scales the data reach"
+        reason = f" for {doubtful}: {reached}" if doubtful else ""
         if examination.disturbed:
             reason = ": what random disturbances show of them was not examined"
         lines.append(f"identifiability of the learned constants could not be decided{reason}\n")

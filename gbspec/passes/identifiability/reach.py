@@ -19,7 +19,7 @@ NEVER = np.inf
 
 
 class Reach:
-    """The lowest powers of time in the series of expressions, and in those of their derivatives by the sought constants.
+    """The lowest powers of time in the series of expressions, and of their derivatives by the sought constants.
 
     Terms that cancel, and functions of zero that are not zero for its own sake, are not looked at: the true powers may
     be higher, never lower.
