@@ -158,6 +158,8 @@ def categories(sheet: Sheet, name: str, known: tuple[str, ...], findings: Findin
     Reports cells with another text (GB733).
     """
     texts = _texts(sheet.columns[name])
+    if texts.str.starts_with("'").any():
+        texts = pl.Series([text if text in known else from_spreadsheets(text) for text in texts], dtype=pl.String)
     numbered = texts.replace_strict(list(known), list(range(len(known))), default=None, return_dtype=pl.Float64)
     values = numbered.fill_null(float("nan")).to_numpy().astype(np.float64)
     missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()
