@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from gbspec.cli.settings import settings
@@ -123,6 +124,13 @@ def test_the_formatter_keeps_categories() -> None:
         " == mutant", "==mutant"
     )
     assert format_text(Source("strains.gb", loose)) == STRAINS
+
+
+def test_a_column_of_lists_is_reported(tmp_path: Path) -> None:
+    columns = {"t": [1.0, 2.0], "X": [0.2, 0.4], "strain": [["mutant"], ["mutant"]]}
+    pl.DataFrame(columns).write_parquet(tmp_path / "lists.parquet")
+    (found,) = reported(lambda: tables.read_data(tmp_path / "lists.parquet", strains(tmp_path), Findings()))
+    assert found.startswith("GB730")
 
 
 def reported(made: Callable[[], object]) -> list[str]:
