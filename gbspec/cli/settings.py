@@ -8,11 +8,16 @@ from typing import Annotated
 
 import typer
 
+from gbspec.data import BY_NUMBER
 from gbspec.diagnostics import Findings
 
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Another value for a constant, learnable or condition.", metavar="NAME=VALUE"),
+    typer.Option(
+        "--set",
+        help="Another value for a constant, learnable or condition (a category by its number, from 0).",
+        metavar="NAME=VALUE",
+    ),
 ]
 """The parameter `--set` of the commands that have it."""
 Form = Annotated[
@@ -29,7 +34,7 @@ Form = Annotated[
 def settings(texts: Sequence[str] | None) -> dict[str, float]:
     """`NAME=VALUE` texts as a mapping. Raises `UserError` (GB810) with everything that is malformed or repeated."""
     findings = Findings()
-    values = assignments(texts or (), "--set", "GB810", findings, "write a name and a number: --set B=14")
+    values = assignments(texts or (), "--set", "GB810", findings, f"write a name and a number: --set B=14; {BY_NUMBER}")
     findings.raise_if_failed()
     return values
 
@@ -37,7 +42,7 @@ def settings(texts: Sequence[str] | None) -> dict[str, float]:
 def points(texts: Sequence[str] | None) -> tuple[dict[str, float], ...]:
     """`NAME=VALUE,NAME=VALUE` texts, one mapping each. Raises `UserError` (GB810)."""
     findings = Findings()
-    help = 'write names and numbers: --at "x1=0.4,x2=1.2"'
+    help = f'write names and numbers: --at "x1=0.4,x2=1.2"; {BY_NUMBER}'
     found = [assignments(text.split(","), "--at", "GB810", findings, help) for text in texts or ()]
     findings.raise_if_failed()
     return tuple(found)

@@ -26,6 +26,7 @@ from .names import for_spreadsheets as for_spreadsheets
 from .names import similar as similar
 from .overlays import overlay as overlay
 from .regimens import lasting as lasting
+from .sampling import BY_NUMBER as BY_NUMBER
 from .sampling import Box as Box
 from .sampling import SimulateOptions as SimulateOptions
 from .sampling import fixed as fixed

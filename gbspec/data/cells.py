@@ -122,9 +122,7 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
     Reports rows without a label (GB718).
     """
     series = sheet.columns[name]
-    if series.dtype.is_nested() or series.dtype in (pl.Binary, pl.Object):
-        message = f"column `{name}` holds {str(series.dtype).lower()} values where names of trajectories are expected"
-        findings.error("GB730", message, Cell(sheet.path, None, name), help="write them as texts or whole numbers")
+    if not _named(sheet, name, "names of trajectories", findings):
         return [""], np.zeros(len(series), dtype=np.int64)
     texts = _texts(series)
     if texts.str.starts_with("'").any():
@@ -142,6 +140,16 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
     return coded(texts)
 
 
+def _named(sheet: Sheet, name: str, expected: str, findings: Findings) -> bool:
+    """Whether a column can hold names; another kind of column is reported (GB730)."""
+    kind = sheet.columns[name].dtype
+    if kind.is_nested() or kind in (pl.Binary, pl.Object):
+        message = f"column `{name}` holds {str(kind).lower()} values where {expected} are expected"
+        findings.error("GB730", message, Cell(sheet.path, None, name), help="write them as texts or whole numbers")
+        return False
+    return True
+
+
 def _texts(series: pl.Series) -> pl.Series:
     """A column as texts without surrounding blanks; whole numbers without a fraction."""
     if series.dtype.is_float():
@@ -155,9 +163,13 @@ def _texts(series: pl.Series) -> pl.Series:
 def categories(sheet: Sheet, name: str, known: tuple[str, ...], findings: Findings, rows: Mask | None = None) -> Array:
     """The numbers of the categories in a column [n], NaN where a cell is empty or not among `rows`.
 
-    Reports cells with another text (GB733).
+    Reports cells with another text (GB733), and columns of another kind (GB730).
     """
+    if not _named(sheet, name, "categories", findings):
+        return np.full(len(sheet.columns[name]), np.nan)
     texts = _texts(sheet.columns[name])
+    if texts.str.starts_with("'").any():
+        texts = pl.Series([text if text in known else from_spreadsheets(text) for text in texts], dtype=pl.String)
     numbered = texts.replace_strict(list(known), list(range(len(known))), default=None, return_dtype=pl.Float64)
     values = numbered.fill_null(float("nan")).to_numpy().astype(np.float64)
     missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()

@@ -181,12 +181,14 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
         _, once = np.unique(group[changed], return_index=True)
         for i, notes in shown(changed[once], "trajectories"):
             row, label = int(cells.row[i]), table.labels[group[i]]
+            before, now = (_shown(quantity, value) for value in (expected[group[i]], cells.value[i]))
+            varies = f", or declare `input {quantity.name} held` if it does vary in time"
             findings.error(
                 "GB719",
                 f"the condition `{quantity.name}` changes within trajectory `{label}`: "
-                f"from {expected[group[i]]:g} to {cells.value[i]:g} in row {row}",
+                f"from {before} to {now} in row {row}",
                 Cell(table.path, row, quantity.column),
-                help=f"begin a new trajectory there, or declare `input {quantity.name} held` if it does vary in time",
+                help="begin a new trajectory there" + (varies if not quantity.categories else ""),
                 notes=notes,
             )
     if default is not None or (cells is None and quantity.required):
@@ -293,3 +295,8 @@ def _beyond(name: str, bounds: Range | None, column: Array) -> str:
         f"`{name}`: {len(beyond)} of {int(np.isfinite(column).sum())} values lie far outside of its range "
         f"{_interval(bounds)}: {spread}"
     )
+
+
+def _shown(quantity: Quantity, value: float) -> str:
+    """A value of a condition, as the table has it."""
+    return f"`{quantity.categories[int(value)]}`" if quantity.categories else f"{value:g}"

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from gbspec.ir import Model
 
 Box = tuple[float, float]
+BY_NUMBER = "a category by its number, from 0 in the order of the model"
+"""The remedy where a text is given for a number, and no model says which number is meant."""
 
 
 def boxes(flag: str) -> Callable[[Sequence[str]], dict[str, Box]]:
@@ -32,7 +34,8 @@ def boxes(flag: str) -> Callable[[Sequence[str]], dict[str, Box]]:
                     "GB750",
                     f"`{flag} {text}` is not a name with a range",
                     None,
-                    help=f"write `{flag} x1=0.2:0.95`, or `{flag} x1=0.5` for one value",
+                    help=f"write `{flag} x1=0.2:0.95`, or `{flag} x1=0.5` for one value"
+                    + (f"; {BY_NUMBER}" if flag == "--condition" else ""),
                 )
             found[name.strip()] = box
         findings.raise_if_failed()
@@ -109,7 +112,7 @@ class SimulateOptions:
     )
     condition: Mapping[str, Box] = _option(
         {},
-        "Range of a condition or input, as Da=0.2:0.5 (repeatable).",
+        "Range of a condition or input, as Da=0.2:0.5 (a category by its number, from 0; repeatable).",
         metavar="NAME=LOW:HIGH",
         parse=boxes("--condition"),
     )

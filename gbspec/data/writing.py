@@ -28,8 +28,10 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
         raise UserError(
             [Diagnostic("GB812", f"cannot write a table to `{path}`", Cell(str(path)), help=f"name it as {FORMATS}")]
         )
-    frame = frame_of(trajectories, form_of(model))
-    safe = frame.with_columns(pl.Series(TRAJECTORY, map(for_spreadsheets, frame[TRAJECTORY]), dtype=pl.String))
+    form = form_of(model)
+    frame = frame_of(trajectories, form)
+    texts = [TRAJECTORY, *(quantity.column for quantity in form.quantities if quantity.categories)]
+    safe = frame.with_columns(pl.col(texts).map_elements(for_spreadsheets, return_dtype=pl.String))
     try:
         with aside(path) as temporary:
             if suffix in PARQUET:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Diagnostic, UserError, packages
+from gbspec.ir import not_categories
 from gbspec.operations.models import Subject, truth_of
 
 if TYPE_CHECKING:
@@ -42,10 +43,16 @@ def system(source: Subject) -> System:
 def eigen(
     source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
 ) -> Eigen:
-    """Eigenvalues of a subject; for a run also those of its model's truth, if there is one."""
+    """Eigenvalues of a subject; for a run also those of its model's truth, if there is one.
+
+    Raises UserError (GB383) for a point with a number of no category.
+    """
     from gbspec.analysis import eigen as run
 
     _without_events(source, "eigen")
+    wrong = [problem for point in at for problem in not_categories(source.model.conditions, _each(point))]
+    if wrong:
+        raise UserError(wrong)
     true = truth_of(source)
     truth = None if true is None else system(true)
     predicted: list[Prediction] = []
@@ -55,6 +62,19 @@ def eigen(
         fit = None if source.run is None else source.run.fit
         predicted = predictions(source.evaluator, source.model, along, fit)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
+
+
+def _each(point: Mapping[str, float]) -> dict[str, tuple[float]]:
+    return {name: (value,) for name, value in point.items()}
+
+
+def _varied(source: Subject, *names: str) -> None:
+    """Raises UserError (GB383) for a parameter that has categories, between which there is nothing."""
+    for condition in source.model.conditions:
+        if condition.name in names and condition.categories:
+            message = f"`{condition.name}` cannot be varied: it is one of some categories"
+            help = f"vary another parameter, for each category in turn: `--set {condition.name}=0`"
+            raise UserError([Diagnostic("GB383", message, None, help=help)])
 
 
 def _without_events(source: Subject, command: str) -> None:
@@ -90,6 +110,7 @@ def bifurcate(
     from gbspec.analysis import bifurcate as run
 
     _without_events(source, "bifurcate")
+    _varied(source, over)
     subject = system(source)
     found = run(subject, over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings)))
     if source.run is None or source.member is None:
@@ -124,6 +145,7 @@ def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box,
     from gbspec.analysis import bifurcation_plane as run
 
     _without_events(source, "bifurcate")
+    _varied(source, *names)
     if source.model.delays:
         message = "the plane of two parameters is not offered for a model with delays"
         help = "give one parameter: its steady states, their roots and Hopf points are computed"

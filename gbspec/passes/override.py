@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.ir import Condition, Constant, Input, Learnable, Model, Range, TruthConstant
+from gbspec.ir import Condition, Constant, Input, Learnable, Model, Range, TruthConstant, not_categories
 from gbspec.passes.contracts import with_contracts
 
 D = TypeVar("D", Condition, Input)
@@ -21,11 +21,12 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     A learnable's bounds are widened if the value lies outside them. The text is unchanged.
 
     Raises:
-        UserError: GB804, one diagnostic for each name that is none of these, or whose value is not finite; GB6xx if a
-            contract cannot be guaranteed with these values.
+        UserError: GB804, one diagnostic for each name that is none of these, or whose value is not finite; GB383 for
+            numbers of no category; GB6xx if a contract cannot be guaranteed with these values.
     """
     names = [*model.constant_names, *(c.name for c in model.conditions), *(i.name for i in model.inputs)]
     problems = [problem for name, value in values.items() if (problem := _problem(name, value, names)) is not None]
+    problems += not_categories(model.conditions, {name: (value,) for name, value in values.items()})
     if problems:
         raise UserError(problems)
     learnable = {k.name for k in model.learnables}

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
-from gbspec.data import SimulateOptions, Trajectories, write
+from gbspec.cli.settings import settings
+from gbspec.data import BY_NUMBER, SimulateOptions, Trajectories, write
+from gbspec.data.sampling import boxes
 from gbspec.diagnostics import Findings, Source, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import Model, whole
-from gbspec.operations import models, tables
+from gbspec.operations import analysing, models, tables
 from gbspec.passes import examine
+from gbspec.passes.override import with_values
 from gbspec.syntax import format_text
 
 STRAINS = """model strains
@@ -119,3 +124,60 @@ def test_the_formatter_keeps_categories() -> None:
         " == mutant", "==mutant"
     )
     assert format_text(Source("strains.gb", loose)) == STRAINS
+
+
+def test_a_column_of_lists_is_reported(tmp_path: Path) -> None:
+    columns = {"t": [1.0, 2.0], "X": [0.2, 0.4], "strain": [["mutant"], ["mutant"]]}
+    pl.DataFrame(columns).write_parquet(tmp_path / "lists.parquet")
+    (found,) = reported(lambda: tables.read_data(tmp_path / "lists.parquet", strains(tmp_path), Findings()))
+    assert found.startswith("GB730")
+
+
+def reported(made: Callable[[], object]) -> list[str]:
+    with pytest.raises(UserError) as caught:
+        made()
+    return [f"{finding.code} {finding.help}" for finding in caught.value.diagnostics]
+
+
+@pytest.mark.parametrize("number", [-1.0, 0.5, 3.0])
+def test_a_number_of_no_category_is_refused(tmp_path: Path, number: float) -> None:
+    model = strains(tmp_path)
+    source = models.reference(model)
+    for made in (
+        lambda: tables.simulate(source, SimulateOptions(condition={"strain": (number, number)})),
+        lambda: with_values(model, {"strain": number}),
+        lambda: analysing.eigen(source, at=({"X": 0.5, "strain": number},)),
+    ):
+        assert reported(made) == ['GB383 give a category by its number: 0 "wild type", 1 "mutant", 2 "none"']
+
+
+def test_a_category_is_no_parameter_of_a_diagram(tmp_path: Path) -> None:
+    (found,) = reported(lambda: analysing.bifurcate(models.reference(strains(tmp_path)), "strain", 0.0, 2.0))
+    assert found.startswith("GB383")
+
+
+@pytest.mark.parametrize("read", [lambda text: boxes("--condition")([text]), lambda text: settings([text])])
+def test_a_name_in_place_of_the_number_is_explained(read: Callable[[str], object]) -> None:
+    (found,) = reported(lambda: read("strain=mutant"))
+    assert BY_NUMBER in found
+
+
+def test_a_category_that_changes_is_told_by_its_names(tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        read(tmp_path, WIDE.replace("2,0.4,", "2,0.4,mutant"), strains(tmp_path))
+    (finding,) = caught.value.diagnostics
+    assert finding.code == "GB719"
+    assert "from `wild type` to `mutant`" in finding.message and "held" not in finding.help
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_names_that_spreadsheets_take_for_formulas_are_written_as_texts(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "odd.gb").write_text(STRAINS.replace("none}", '"=SUM(A1)"}'))
+    model = load_model(tmp_path / "odd.gb", Findings())
+    data = tables.simulate(models.reference(model), SimulateOptions(trajectories=20, span=4.0, dt=2.0, seed=3))
+    write(tmp_path / f"out.{suffix}", data, model)
+    if suffix == "csv":
+        assert ",=SUM" not in (tmp_path / "out.csv").read_text()
+    again = tables.read_data(tmp_path / f"out.{suffix}", model, Findings())
+    assert [item.condition[0] for item in again.items] == [item.condition[0] for item in data.items]
+    assert 2.0 in {item.condition[0] for item in again.items}

@@ -13,7 +13,7 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.data import Box, DoseEvents, Signal, SimulateOptions, Trajectory, clipped, lasting, regimen, similar
 from gbspec.diagnostics import Findings
-from gbspec.ir import Model, Range, whole
+from gbspec.ir import Model, Range, not_categories, whole
 
 SHAPE = 4.0
 """Shape of the gamma distribution of intervals (standard deviation: half the mean)."""
@@ -57,7 +57,8 @@ class Plan:
 def boxes(model: Model, options: SimulateOptions, findings: Findings, given: bool = False) -> Boxes:
     """The boxes from the options and the declared ranges.
 
-    Reports unknown names (GB751), initial values that the model gives (GB752), and quantities without a range (GB753).
+    Reports unknown names (GB751), initial values that the model gives (GB752), quantities without a range (GB753),
+    and numbers of no category (GB383).
     `given`: conditions and inputs come from a table and need no range.
     """
     starts = {s.name: _declared(s.range, s.start) for s in model.states if not s.initial.known}
@@ -66,6 +67,7 @@ def boxes(model: Model, options: SimulateOptions, findings: Findings, given: boo
     inputs = {item.name: _declared(item.range, item.default) for item in model.inputs}
     _known(options.initial, starts, expressed, "--initial", "state", findings)
     _known(options.condition, conditions | inputs, set(), "--condition", "condition or input", findings)
+    findings.extend(not_categories(model.conditions, options.condition))
     channels = {channel.name: None for channel in model.channels}
     _known(dict.fromkeys(options.clock, (0.0, 0.0)), channels, set(), "--clock", "channel", findings)
     dosed: dict[str, Box | None] = {dose.state: None for dose in model.doses}

@@ -306,7 +306,7 @@ def _against_truth(
     lacking = without_truth(model)
     if lacking:
         names = ", ".join(f"`{name}`" for name in lacking)
-        warnings.append(f"{names} has no `truth`; its starting value is used in the reference instead")
+        warnings.append(f"there is no `truth` of {names}: in the reference stands the starting value")
     case = bundled_case(model)
     if sampling is None:
         sampling = case.sampling if case is not None else sampling_like(model, data)

@@ -28,7 +28,10 @@ def run(
     output: Output,
     source: Annotated[str, typer.Argument(help="A model with a truth, or a run.", metavar="MODEL|RUN")],
     at: Annotated[
-        list[str] | None, typer.Option("--at", help="A point; may be repeated.", metavar="NAME=VALUE,...")
+        list[str] | None,
+        typer.Option(
+            "--at", help="A point (a category by its number, from 0); may be repeated.", metavar="NAME=VALUE,..."
+        ),
     ] = None,
     along: Annotated[
         str | None, typer.Option("--along", help="Rows of a table with every state measured.", metavar="DATA")
