@@ -34,6 +34,7 @@ from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe import build_context, check_disturbed, check_limits, chosen_solver, plan, solver_of
+from gbspec.training.runs.absent import without_data
 from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
     EXACT,
@@ -112,7 +113,7 @@ class Fitting:
         findings = Findings()
         options.check(findings)
         check_disturbed(model, options)
-        self._remarks = check_limits(model, trajectories)
+        self._remarks = [*check_limits(model, trajectories), *without_data(model, trajectories)]
         _check_data(trajectories, findings)
         findings.raise_if_failed()
         module = load_module(model, METHODS[solver_of(options)])
