@@ -26,10 +26,12 @@ from gbspec.ir.model import (
     Network,
     Range,
     State,
+    Table,
     Unknown,
     symbol,
     unknown_function,
 )
+from gbspec.ir.tables import Curve, lookup
 
 Expr = sympy.Expr
 
@@ -170,6 +172,15 @@ def _networks(draw: st.DrawFn, names: list[str]) -> tuple[list[Network], list[li
 
 
 @st.composite
+def tables(draw: st.DrawFn, name: str) -> Table:
+    """A known function of one argument, whose points lie closer than those at which models are evaluated."""
+    steps = draw(st.lists(st.sampled_from((0.21, 0.5, 1.3)), min_size=2, max_size=5))
+    places = tuple(float(place) for place in np.cumsum([-1.03, *steps]))
+    values = tuple(draw(_moderate) for _ in places)
+    return Table(name, ("x",), Curve((places,), values, draw(st.sampled_from(("linear", "pchip", "cubic")))))
+
+
+@st.composite
 def models(draw: st.DrawFn) -> Model:
     """A Model of 1 to 5 states with everything that may occur around them."""
     names = draw(st.permutations(NAMES))
@@ -187,7 +198,8 @@ def models(draw: st.DrawFn) -> Model:
             postulate = {"plain": NN, "plus": wild + NN, "times": sympy.tanh(wild) * NN}[form]
             unknowns.append(Unknown(output, network=i, output=j, postulate=postulate, neutral=float(form == "times")))
     plain = [symbol(name) for name in (*states, *given, *inputs, "t")] + constants
-    leaves = _leaves(plain, networks)
+    known_functions = [draw(tables(name)) for name in _take(draw, names, 0, 1)]
+    leaves = _leaves(plain, networks, known_functions)
     intermediates: list[Intermediate] = []
     for name in _take(draw, names, 0, 3):
         intermediates.append(Intermediate(name, value=draw(expressions(leaves, 2))))
@@ -210,14 +222,15 @@ def models(draw: st.DrawFn) -> Model:
         balances=tuple(draw(expressions(leaves, 3)) for _ in states),
         channels=tuple(channels),
         doses=(Dose(states[0]),) if draw(st.booleans()) else (),
+        tables=tuple(known_functions),
     )
 
 
 _moderate = st.floats(-2.0, 2.0, allow_nan=False, allow_infinity=False)
 
 
-def _leaves(plain: Sequence[Expr], networks: Sequence[Network]) -> st.SearchStrategy[Expr]:
-    """Symbols, numbers, and applications of unknowns to expressions of symbols."""
+def _leaves(plain: Sequence[Expr], networks: Sequence[Network], known: Sequence[Table]) -> st.SearchStrategy[Expr]:
+    """Symbols, numbers, and applications of unknowns and of tables to expressions of symbols."""
     simple = st.one_of(st.sampled_from(list(plain)), st.sampled_from(NUMBERS))
     applications = [
         st.lists(
@@ -227,6 +240,9 @@ def _leaves(plain: Sequence[Expr], networks: Sequence[Network]) -> st.SearchStra
         )
         for n in networks
         for output in n.outputs
+    ]
+    applications += [
+        expressions(st.sampled_from(list(plain)), 1).map(lookup(table.name, table.curve)) for table in known
     ]
     return st.one_of(simple, simple, *applications) if applications else simple
 

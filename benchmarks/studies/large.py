@@ -63,7 +63,6 @@ CASES = {
     "read-160-MB": Case("reading 5,000,000 rows in 1,000 trajectories", 5_000_000, 5_000, reading),
     "read-2-GB": Case("reading 62,000,000 rows in 1,000 trajectories", 62_000_000, 62_000, reading),
     "read-long": Case("reading one trajectory of 100,000 rows", 100_000, 100_000, reading),
-    "train-many": Case("`train`: 100,000 rows in 1,000 trajectories", 100_000, 100, fitting),
     "train-long": Case("`train`: one trajectory of 100,000 rows", 100_000, 100_000, fitting),
 }
 

@@ -1,7 +1,8 @@
 """Oversized and hostile inputs: the processor time and the memory until gbspec refuses, or accepts, each of them.
 
     python -m benchmarks.studies.limits -o docs/limits.md
-    python -m benchmarks.studies.limits --only nonsense,names
+    python -m benchmarks.studies.limits --only nonsense,names -o docs/limits.md     (the others' lines stay)
+    python -m benchmarks.studies.limits --only none -o docs/limits.md               (the words alone)
 
 Each input is made in a temporary folder and given to one command in a process of its own. The time is that of the
 processor (user and system), the memory the largest resident set. A process is stopped after 120 s of processor time.
@@ -20,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.studies import large
 from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
 from gbspec.exports.programs import MOST_CALLS, MOST_OPERATIONS
 from gbspec.imports.safety import DEEPEST, MOST_DECLARED, MOST_ELEMENTS
@@ -309,7 +311,17 @@ the import of gbspec included. The times are of one machine that other work shar
 (`tests/frontend/test_limits.py`, `tests/data/test_limits.py`) check counts and codes. Without limits
 (commit `6e7297e`) the first four models took 38 s, 51 s, more than 119 s with 14.8 GB, and 20 s.
 
-| input | processor time, s | memory, MB | status | diagnostics | text written, kB |
+@INPUTS@
+
+## Large tables
+
+`python -m benchmarks.studies.large` measures what is not refused: tables of three columns, read for a model of one
+state as every command reads them, and a fit of one constant. A text of more than 100 MB is read where six times its
+size is free (GB732), since reading takes five times its size.
+
+@LARGE@
+"""
+HEADER = """| input | processor time, s | memory, MB | status | diagnostics | text written, kB |
 |---|---:|---:|---:|---|---:|
 """
 LIMITS = {
@@ -333,17 +345,33 @@ LIMITS = {
 }
 
 
-def document(outcomes: list[tuple[Input, Outcome]]) -> str:
+def row_of(item: Input, found: Outcome) -> str:
+    """The line of the page for an input."""
+    over = found.seconds > MOST_SECONDS or found.megabytes > MOST_MEGABYTES
+    mark = " (**over**)" if over else ""
+    return (
+        f"| {item.what}{mark} | {found.seconds:.1f} | {found.megabytes:.0f} | {found.status} "
+        f"| {found.codes or 'none'} | {found.written / 1000:.0f} |"
+    )
+
+
+def document(rows: dict[str, str]) -> str:
+    """The page, with the line of each input that is known by its name."""
     limits = "\n".join(f"| {what} | {most:,} |" for what, most in LIMITS.items())
-    rows = []
-    for item, found in outcomes:
-        over = found.seconds > MOST_SECONDS or found.megabytes > MOST_MEGABYTES
-        mark = " (**over**)" if over else ""
-        rows.append(
-            f"| {item.what}{mark} | {found.seconds:.1f} | {found.megabytes:.0f} | {found.status} "
-            f"| {found.codes or 'none'} | {found.written / 1000:.0f} |"
-        )
-    return TEXT.replace("@LIMITS@", limits) + "\n".join(rows) + "\n"
+    inputs = HEADER + "\n".join(rows[item.name] for item in INPUTS if item.name in rows)
+    text = TEXT.replace("@LIMITS@", limits).replace("@INPUTS@", inputs)
+    return text.replace("@LARGE@", large.table(large.read()))
+
+
+def kept(page: str) -> dict[str, str]:
+    """The lines of inputs that a page has, by their names."""
+    lines = page.splitlines()
+    found = {}
+    for item in INPUTS:
+        line = next((one for one in lines if one.startswith((f"| {item.what} |", f"| {item.what} ("))), None)
+        if line is not None:
+            found[item.name] = line
+    return found
 
 
 def main() -> None:
@@ -352,11 +380,13 @@ def main() -> None:
     parser.add_argument("-o", dest="to", default=None, help="the Markdown file to write")
     options = parser.parse_args()
     wanted = [item for item in INPUTS if not options.only or item.name in options.only.split(",")]
-    outcomes = []
+    page = Path(options.to) if options.to else None
+    rows = kept(page.read_text()) if page is not None and page.is_file() else {}
     for item in wanted:
-        outcomes.append((item, run(item)))
-        print(f"{item.name}: {outcomes[-1][1]}", file=sys.stderr, flush=True)
-    text = document(outcomes)
+        found = run(item)
+        rows[item.name] = row_of(item, found)
+        print(f"{item.name}: {found}", file=sys.stderr, flush=True)
+    text = document(rows)
     if options.to:
         Path(options.to).write_text(text)
     else:

@@ -17,6 +17,7 @@ from gbspec.diagnostics import ComputationError, Findings, Source
 from gbspec.frontend import load_model
 from gbspec.ir import STIFF, symbol
 from gbspec.ir.dumping import dump
+from gbspec.passes.linear import MOST_OPERATIONS, MOST_VARIABLES, solved_by_formulas
 from gbspec.report.text import model_summary
 from gbspec.syntax.formatter import format_text
 from tests.algebraic.models import ARRAY, BUFFER, TWO_ROOTS, UNKNOWN, built
@@ -124,6 +125,15 @@ def test_stiff_steps_solve_for_algebraic_variables_too() -> None:
     found = member.simulate([0.25], [0.0, 0.05, 0.1, 1.0], max_step=0.002)[:, 0].numpy()
     expected = Evaluator(load_module(model)()).integrate([0.25], [0.0, 0.05, 0.1, 1.0])[:, 0]
     assert found == pytest.approx(expected, rel=1e-5)
+
+
+def test_linear_blocks_beyond_either_limit_are_searched() -> None:
+    """Formulas of many variables grow like their factorial, and long ones are written once for each variable."""
+    some = [symbol(f"v{i}") for i in range(MOST_VARIABLES + 1)]
+    assert solved_by_formulas([v - 1 for v in some[1:]], some[1:]) == [sympy.S.One] * MOST_VARIABLES
+    assert solved_by_formulas([v - 1 for v in some], some) == []
+    long = sympy.Add(*(symbol(f"x{i}") ** 2 for i in range(MOST_OPERATIONS)))
+    assert solved_by_formulas([some[0] - long], some[:1]) == []
 
 
 def test_linear_blocks_are_solved_by_formulas() -> None:

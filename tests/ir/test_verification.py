@@ -83,6 +83,20 @@ def test_a_form_that_a_pass_made_is_verified() -> None:
         verify(relaid(outputs=()))
 
 
+def test_a_form_without_a_layout_has_the_outputs_of_its_network_alone() -> None:
+    made = with_contracts(model_of(TEXT.replace("= nn*u by mlp(4)", "f >= 0 by mlp(8)")), Findings())
+    form = made.unknowns[0].form
+    assert form is not None and made.networks[0].layout is None
+    for output, right in ((1, True), (2, False)):
+        changed = dataclasses.replace(made.unknowns[0], form=dataclasses.replace(form, value=raw(0, output)))
+        wrong = dataclasses.replace(made, unknowns=(changed, *made.unknowns[1:]))
+        if right:
+            verify(wrong)
+        else:
+            with pytest.raises(Defect, match="the form of `f` uses"):
+                verify(wrong)
+
+
 def test_a_lowered_model_is_right() -> None:
     before = dump(MODEL)
     verify(MODEL)
