@@ -148,7 +148,7 @@ def _pair(value: Any) -> tuple[int, int]:
     return int(value), int(value)
 
 
-def _sum(terms: Any, first: Formula) -> Formula:
+def _sum(terms: Any, first: Any) -> Any:
     for term in terms:
         first = first + term
     return first
