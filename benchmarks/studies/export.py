@@ -21,7 +21,7 @@ import numpy as np
 
 import gbspec
 from benchmarks import workload
-from gbspec.backends import Evaluator, load_module
+from gbspec.backends import Evaluator, NotCoveredError, load_module
 from gbspec.backends.c import c_code
 from gbspec.data import DoseEvents, Signal, shipped_models
 from gbspec.exports import Exported, ExportOptions
@@ -41,6 +41,7 @@ RUNS = {
 }
 """Models that are fitted, with the options of their simulated tables."""
 SPAN, INTERVAL = 2.0, 0.1
+PRECISIONS = ("float64", "float32")
 HEAD = """\
 # Exports
 
@@ -119,6 +120,27 @@ def units(exported: Exported, folder: Path) -> list[str]:
         cells += [str(problems), *(f"{value:.0e}" for value in (*values, errors[1], errors[0]))]
         cells.append(f"{path.stat().st_size / 1000:.0f}")
     return cells
+
+
+def libraries(exported: Exported) -> list[str]:
+    """The cells of C."""
+    checked = make_c(exported, plain(exported), ExportOptions()).checked
+    source = len(Library(exported).source().encode()) / 1000
+    return [f"{max(q.error for q in checked):.0e}", f"{source:.0f}"]
+
+
+def graphs(exported: Exported, precision: Any) -> list[str]:
+    """The cell of ONNX."""
+    made = make_onnx(exported, ExportOptions(precision=precision))
+    return [f"{max(q.error for q in made.checked):.0e}"]
+
+
+def refused_or(cells: Callable[[], list[str]], count: int) -> list[str]:
+    """Cells; the reason in the first of them where a form does not cover a model."""
+    try:
+        return cells()
+    except NotCoveredError as problem:
+        return [f"refused: {problem}", *[""] * (count - 1)]
 
 
 # ------------------------------------------------------------------------------------------------------------- times
@@ -239,13 +261,11 @@ def main() -> None:
     second: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         for name, exported in subjects(given.runs):
-            lines.append(f"| {name} | " + " | ".join(units(exported, Path(folder))) + " |")
-            checked = make_c(exported, plain(exported), ExportOptions()).checked
-            source = len(Library(exported).source().encode()) / 1000
-            cells = [f"{max(q.error for q in checked):.0e}", f"{source:.0f}"]
-            for precision in ("float64", "float32"):
-                made = make_onnx(exported, ExportOptions(precision=precision))
-                cells.append(f"{max(q.error for q in made.checked):.0e}")
+            cells = refused_or(lambda exported=exported: units(exported, Path(folder)), 2 * len(columns))
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+            cells = refused_or(lambda exported=exported: libraries(exported), 2)
+            for precision in PRECISIONS:
+                cells += refused_or(lambda e=exported, p=precision: graphs(e, p), 1)
             second.append(f"| {name} | " + " | ".join(cells) + " |")
             print(lines[-1], second[-1], sep="\n", flush=True)
         lines += ["", "## C and ONNX", "", "The largest error of all functions that the command compares.", ""]

@@ -418,6 +418,9 @@ class Model:
 
     def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
         """The expressions with every intermediate substituted."""
+        expressions = tuple(expressions)
+        if not any(one.free_symbols for one in expressions):
+            return expressions
         table: dict[sympy.Symbol, Expr] = {}
         for item in self.intermediates:
             table[item.symbol] = item.value.xreplace(table)

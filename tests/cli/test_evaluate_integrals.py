@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 import gbspec as package
+from gbspec.diagnostics import UserError
+from gbspec.operations import evaluating
 
 Run = Callable[..., Any]
 
@@ -140,3 +143,29 @@ def test_limits_contribute_their_probability(here: Path) -> None:
     assert [one.limit for one in made.found.simulation] == ["", "", ">", "<", "<"]
     places = (np.exp(-1.05) - 0.3) / 0.2
     assert made.found.simulation[2].residual ** 2 == pytest.approx(-2 * norm.logcdf(places))
+
+
+def test_a_run_of_a_population_has_the_likelihood_of_its_fit(here: Path, quick_fits: None) -> None:
+    (here / "m.gb").write_text(POPULATION.replace("learn a = 0.5 in [0.1, 3]", "const a = 0.5"))
+    shifts = {"one": 0.2, "two": -0.5, "three": 0.9, "four": -0.4}
+    rows = [
+        f"{name},{t},{1 + shift + np.exp(-0.5 * t) + 0.1 * (-1) ** i}"
+        for name, shift in shifts.items()
+        for i, t in enumerate((0.5, 1.0, 2.0))
+    ]
+    (here / "d.csv").write_text("\n".join(["trajectory,t,y", *rows]) + "\n")
+    run = package.train("m.gb", "d.csv", "run", effort="low", workers=1)
+    record = run.run.fit.population
+    assert record is not None
+    found = run.evaluate()
+    assert found.nllh == pytest.approx(record.minus2ll / 2, abs=1e-4)  # the fit has longer steps
+    assert max(map(abs, found.gradient.values())) < 0.05
+    assert run.evaluate(values={"sd_b": record.effects["b"].sd + 0.1}).nllh > found.nllh
+
+
+def test_what_cannot_be_evaluated_is_said() -> None:
+    distributed = SimpleNamespace(distributed=(1,), correlated=(("a", "b", "c"),))
+    run = SimpleNamespace(model=distributed, fit=SimpleNamespace(population=1), best=0)
+    with pytest.raises(UserError, match="three or more constants") as raised:
+        evaluating._population_of_run(run, 0)  # type: ignore[arg-type]  # as much of a run as is looked at
+    assert raised.value.diagnostics[0].code == "GB888"

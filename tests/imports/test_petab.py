@@ -190,3 +190,33 @@ def test_cases_of_the_suite(case: str) -> None:
     from benchmarks.studies.petab import judged
 
     assert judged(suite("petab") / "v1" / case).end == "passed"
+
+
+PRIORS = """\
+parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate\tobjectivePriorType\tobjectivePriorParameters
+slow\tlin\t0\t5\t0.4\t1\tlogNormal\t-1;0.5
+fast\tlog10\t0.001\t5\t1.5\t1\tparameterScaleNormal\t0.3;0.2
+sigma\tlin\t0.01\t2\t0.6\t0\t\t
+"""
+
+
+def test_logarithmic_priors_are_the_same_distributions(tmp_path: Path) -> None:
+    """`prior lognormal` has the median and the coefficient of variation."""
+    found = import_file(problem(tmp_path, conditions=RATES, parameters=PRIORS), tmp_path / "out")
+    model = gbspec.load(found.model).model
+    priors = {k.name: k.prior for k in model.learnables}
+    slow, fast = priors["slow"], priors["fast"]
+    assert slow is not None
+    assert fast is not None
+    assert (slow.kind, fast.kind) == ("lognormal", "lognormal")
+    assert slow.location == pytest.approx(math.exp(-1))
+    assert math.sqrt(math.log1p(slow.scale**2)) == pytest.approx(0.5)
+    assert fast.location == pytest.approx(10**0.3)
+    assert math.sqrt(math.log1p(fast.scale**2)) == pytest.approx(0.2 * math.log(10))
+
+
+def test_a_uniform_prior_that_is_narrower_than_the_bounds_is_listed(tmp_path: Path) -> None:
+    text = PRIORS.replace("logNormal\t-1;0.5", "uniform\t0;5").replace("parameterScaleNormal\t0.3;0.2", "uniform\t1;2")
+    found = import_file(problem(tmp_path, conditions=RATES, parameters=text), tmp_path / "out")
+    assert ["prior `uniform`" in one.reason for one in found.left_out if "prior" in one.reason] == [True]
+    assert all("slow" not in one.element for one in found.left_out)

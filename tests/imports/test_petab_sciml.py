@@ -90,7 +90,7 @@ def test_a_network_in_the_right_hand_side(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
-        ("layer_type: Linear, args: {in_features: 1", "layer_type: Conv2d, args: {in_features: 1", "`Conv2d` is not"),
+        ("layer_type: Linear, args: {in_features: 1", "layer_type: GRU, args: {in_features: 1", "`GRU` is not"),
         ("target: relu", "target: erf", "`erf` is not offered"),
         ("args: [relu]", "args: [nothing]", "`nothing` has no value"),
     ],

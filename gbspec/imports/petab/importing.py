@@ -196,15 +196,35 @@ class _Problem:
 
     def _prior(self, row: Row, estimated: bool) -> str:
         kind = row.get("objectivePriorType", "")
-        if not estimated or not kind or kind in ("uniform", "parameterScaleUniform"):
-            return ""
         found = [_number(text) for text in row.get("objectivePriorParameters", "").split(";")]
-        scale = row.get("parameterScale", "lin")
+        scale = row.get("parameterScale", "") or "lin"
         known = [one for one in found if one is not None]
-        if len(known) == 2 and (kind == "normal" or (kind == "parameterScaleNormal" and scale == "lin")):
+        if not estimated or not kind or (kind.lower().endswith("uniform") and not self._narrow(row, kind, known)):
+            return ""
+        on_scale = kind == "parameterScaleNormal"
+        if len(known) == 2 and (kind == "normal" or (on_scale and scale == "lin")):
             return f"prior normal({spelled_number(known[0])}, {spelled_number(known[1])})"
+        unit = math.log(10) if on_scale and scale == "log10" else 1.0
+        low = _number(row.get("lowerBound", ""))
+        logarithmic = kind == "logNormal" or (on_scale and scale in ("log", "log10"))
+        if len(known) == 2 and logarithmic and (low is None or low >= 0):
+            # The language states the median and the coefficient of variation.
+            median, spread = math.exp(known[0] * unit), known[1] * unit
+            return f"prior lognormal({spelled_number(median)}, {spelled_number(math.sqrt(math.expm1(spread**2)))})"
         self._omit(f"parameter {row.get('parameterId', '')}", row, f"the prior `{kind}` on the scale {scale}")
         return ""
+
+    @staticmethod
+    def _narrow(row: Row, kind: str, known: list[float]) -> bool:
+        """Whether a uniform prior says more than the bounds."""
+        low, high = (_number(row.get(name, "")) for name in ("lowerBound", "upperBound"))
+        base = {"log": math.e, "log10": 10.0}.get(row.get("parameterScale", ""))
+        if kind.startswith("parameterScale") and base is not None:
+            known = [base**value for value in known]
+        if len(known) != 2:
+            return False
+        slack = 1e-9 * max(map(abs, known))
+        return low is None or high is None or known[0] > low + slack or known[1] < high - slack
 
     # --------------------------------------------------------------------------------------------------- observables
     def _measured(self, row: Row) -> None:

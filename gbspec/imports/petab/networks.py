@@ -18,12 +18,23 @@ import yaml
 
 from gbspec.arrays import Array
 from gbspec.imports.formulas import ZERO, Formula, call, named, number
+from gbspec.imports.petab.layers import (
+    Formulas,
+    NotOfferedLayerError,
+    array,
+    convolved,
+    flattened,
+    linear,
+    pooled,
+)
 from gbspec.imports.petab.problem import MOST_TABLE, MOST_YAML, Row, files_of
 from gbspec.imports.petab.second import Second
 from gbspec.imports.safety import read_file, refused
 
 MOST_WEIGHTS = 3000
 """The largest network that is written as formulas."""
+MOST_ENTRIES = 2000
+"""The largest array that is an input; each entry is a condition, a column of the table."""
 _ENTITY = re.compile(r"(\w+)\.(inputs|outputs)\[(\d+)\](?:\[(\d+)\])?$")
 _PARAMETERS = re.compile(r"(\w+)\.parameters(?:\[(\w+)\])?(?:\.(weight|bias))?$")
 
@@ -152,9 +163,10 @@ def _inputs(
     arrays: Mapping[str, Array],
     found: Networks,
     parse: Any,
-) -> list[list[Formula]]:
-    """The formulas of a network's inputs, one list for each."""
+) -> list[Formulas]:
+    """The formulas of a network's inputs, an array of each."""
     groups: dict[int, dict[int, Formula]] = {}
+    arrayed: dict[int, Formulas] = {}
     for (network, i, j), entity in places.items():
         if network != name:
             continue
@@ -164,13 +176,18 @@ def _inputs(
             continue
         mine = {key.split("/")[-1]: a for key, a in arrays.items() if key.startswith(f"inputs/{entity}/")}
         sizes = {a.shape for a in mine.values()}
-        if len(sizes) != 1 or any(len(size) != 1 for size in sizes):
-            raise refused(path, f"the input `{entity}` is no vector, which alone is offered")
-        for k in range(next(iter(sizes))[0]):
-            constant = f"{entity}_{k}"
-            found.arrays[constant] = {key: float(a[k]) for key, a in mine.items()}
-            groups.setdefault(i, {})[k] = named(constant)
-    return [[group[j] for j in sorted(group)] for _, group in sorted(groups.items())]
+        if len(sizes) != 1:
+            raise refused(path, f"the input `{entity}` has no array, or arrays of several shapes")
+        whole = np.empty(next(iter(sizes)), dtype=object)
+        if whole.size > MOST_ENTRIES:
+            raise refused(path, f"the input `{entity}` has {whole.size} entries; {MOST_ENTRIES} are offered")
+        for place in np.ndindex(*whole.shape):
+            constant = "_".join((entity, *map(str, place)))
+            found.arrays[constant] = {key: float(a[place]) for key, a in mine.items()}
+            whole[place] = named(constant)
+        arrayed[i] = whole
+    vectors = {i: array([group[j] for j in sorted(group)]) for i, group in groups.items()}
+    return [both[i] for both in (vectors | arrayed,) for i in sorted(both)]
 
 
 class _Forward:
@@ -181,11 +198,11 @@ class _Forward:
         layers = document.get("layers")
         self.layers = {str(one.get("layer_id")): one for one in layers if isinstance(one, dict)} if layers else {}
         self.nodes = [one for one in document.get("forward") or () if isinstance(one, dict)]
-        self.values: dict[str, list[Formula]] = {}
+        self.values: dict[str, Formulas] = {}
 
-    def run(self, groups: list[list[Formula]]) -> list[Formula]:
+    def run(self, groups: list[Formulas]) -> list[Formula]:
         """The outputs."""
-        left: Iterator[list[Formula]] = iter(groups)
+        left: Iterator[Formulas] = iter(groups)
         for node in self.nodes:
             op, target, name = str(node.get("op")), str(node.get("target")), str(node.get("name"))
             args = [self._argument(one) for one in node.get("args") or () if isinstance(one, str | list)]
@@ -195,51 +212,78 @@ class _Forward:
                     raise self._refused(f"the input `{name}` has no value")
                 self.values[name] = value
             elif op == "output":
-                return args[0]
+                return list(args[0].ravel())
             elif op == "call_module":
                 self.values[name] = self._layer(target, args[0])
             elif target == "cat":
                 self.values[name] = args[0]
+            elif target == "flatten":
+                given = node.get("args") or []
+                places = [one for one in given if isinstance(one, int)]
+                self.values[name] = flattened(args[0], dict(zip(("start_dim", "end_dim"), places, strict=False)))
             elif target in _ACTIVATIONS:
-                self.values[name] = [_ACTIVATIONS[target](x) for x in args[0]]
+                self.values[name] = _each(_ACTIVATIONS[target], args[0])
             else:
                 raise self._refused(f"the function `{target}` is not offered")
         raise self._refused("it has no output")
 
-    def _argument(self, given: Any) -> list[Formula]:
+    def _argument(self, given: Any) -> Formulas:
         if isinstance(given, list):
-            return list(itertools.chain.from_iterable(self._argument(one) for one in given))
+            return array(list(itertools.chain.from_iterable(self._argument(one).ravel() for one in given)))
         if given not in self.values:
             raise self._refused(f"`{given}` has no value")
         return self.values[given]
 
-    def _layer(self, layer: str, x: list[Formula]) -> list[Formula]:
-        kind = str(self.layers.get(layer, {}).get("layer_type"))
+    def _layer(self, layer: str, x: Formulas) -> Formulas:
+        one = self.layers.get(layer, {})
+        kind, args = str(one.get("layer_type")), one.get("args")
+        args = args if isinstance(args, dict) else {}
         if kind in _MODULES:
-            return [_ACTIVATIONS[_MODULES[kind]](one) for one in x]
-        if kind != "Linear":
-            raise self._refused(f"the layer `{kind}` is not offered")
-        found = []
-        weight, bias = self._array(layer, "weight"), self._array(layer, "bias")
-        if weight is None or weight.ndim != 2 or weight.shape[1] != len(x):
-            raise self._refused(f"the weights of `{layer}` do not fit its {len(x)} arguments")
-        for i, row in enumerate(weight):
-            terms = [self._weight(layer, "weight", f"{i}_{j}", value) * x[j] for j, value in enumerate(row)]
-            total = ZERO if bias is None else self._weight(layer, "bias", str(i), bias[i])
-            for term in terms:
-                total = total + term
-            unit = f"{self.name}_{layer}_{i}"
-            self.found.lets[unit] = total
-            found.append(named(unit))
-        return found
+            return _each(_ACTIVATIONS[_MODULES[kind]], x)
+        if kind == "Dropout":
+            return x  # which does nothing but in training
+        try:
+            match kind:
+                case "Linear":
+                    return linear(x, *self._weights(layer), lambda place, total: self._unit(layer, place, total))
+                case "Conv2d":
+                    weights = self._weights(layer)
+                    return convolved(x, *weights, args, lambda place, total: self._unit(layer, place, total))
+                case "MaxPool2d" | "AvgPool2d":
+                    return pooled(x, kind, args)
+                case "Flatten":
+                    return flattened(x, args)
+        except NotOfferedLayerError as problem:
+            raise self._refused(f"the layer `{layer}`: {problem}") from None
+        raise self._refused(f"the layer `{kind}` is not offered")
 
-    def _array(self, layer: str, kind: str) -> Array | None:
-        return self.arrays.get(f"parameters/{self.name}/{layer}/{kind}")
+    def _unit(self, layer: str, place: str, total: Formula) -> Formula:
+        """A sum under a name of its own."""
+        unit = f"{self.name}_{layer}_{place}"
+        self.found.lets[unit] = total
+        return named(unit)
 
-    def _weight(self, layer: str, kind: str, place: str, value: float) -> Formula:
-        name = f"{self.name}_{layer}_{kind}_{place}"
-        self.found.weights.append(Weight(name, float(value), self.name, layer, kind))
-        return named(name)
+    def _weights(self, layer: str) -> tuple[Formulas, Formulas | None]:
+        """The weights and the bias of a layer, as constants."""
+        weight, bias = (self._named(layer, kind) for kind in ("weight", "bias"))
+        if weight is None:
+            raise self._refused(f"the layer `{layer}` has no weights")
+        return weight, bias
+
+    def _named(self, layer: str, kind: str) -> Formulas | None:
+        values = self.arrays.get(f"parameters/{self.name}/{layer}/{kind}")
+        if values is None:
+            return None
+        made = np.empty(values.shape, dtype=object)
+        for place, value in np.ndenumerate(values):
+            name = "_".join((self.name, layer, kind, *map(str, place)))
+            self.found.weights.append(Weight(name, float(value), self.name, layer, kind))
+            made[place] = named(name)
+        return made
 
     def _refused(self, reason: str) -> Exception:
         return refused(self.path, f"the network `{self.name}`: {reason}")
+
+
+def _each(function: Callable[[Formula], Formula], x: Formulas) -> Formulas:
+    return array([function(one) for one in x.ravel()]).reshape(x.shape)
