@@ -216,11 +216,11 @@ def table(rows: Sequence[Row]) -> str:
         f"trajectories over that of a fit that starts at the truth, both at least {LEAST:g}: the median and the worst.",
         "`rhs`: the worst error of the right-hand side along the rows' solutions; beside it, over that from the truth,",
         f"the number of fits in which that is at most {WITHIN:g}, and the others, each with its loss over that from",
-        "the truth.",
+        "the truth. `loss / from truth`: the worst of all fits.",
         "",
         "| model | noise | fits | R² | naive R² | loss / noise | rhs | rhs / from truth | within "
-        "| others (seed: rhs, loss) | fresh R² | error / from truth | CPU s a fit |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|---:|---:|---:|",
+        "| others (seed: rhs, loss) | loss / from truth | fresh R² | error / from truth | CPU s a fit |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---|---:|---:|---:|---:|",
     ]
     for name, noise in dict.fromkeys((str(row["model"]), float(row["noise"])) for row in rows):
         own = [row for row in rows if (row["model"], float(row["noise"])) == (name, noise)]
@@ -231,8 +231,8 @@ def table(rows: Sequence[Row]) -> str:
         rhs = max(float(row["rhs"]) for row in own)
         seconds = sum(float(row["seconds"]) for row in own) / len(own)
         shown = f"{share:.3g}" if noise else "-"
-        others = [f"{row['seed']}: {_along(row):.2f}, {_loss(row):.3g}" for row in own if _along(row) > WITHIN]
-        within = f"{len(own) - len(others)} | {'; '.join(others) or '-'}"
+        others = [f"{row['seed']}: {_along(row):.2f}, {_loss(row):.4g}" for row in own if _along(row) > WITHIN]
+        within = f"{len(own) - len(others)} | {'; '.join(others) or '-'} | {max(_loss(row) for row in own):.3g}"
         lines.append(f"| {name} | {100 * noise:g} % | {len(own)} | {r2:.6f} | {naive:.3f} | {shown} | {rhs:.2g} | "
                      f"{statistics.median(along):.2f}, {max(along):.2f} | {within} | {fresh:.6f} | "
                      f"{statistics.median(ratios):.2f}, {max(ratios):.2f} | {seconds:.0f} |")  # fmt: skip

@@ -26,7 +26,7 @@ def test_the_table_has_the_worst_of_the_fits() -> None:
     *_, line, empty, near, others = table(rows).splitlines()
     assert not empty
     assert line == (
-        "| a | 2 % | 2 | 0.900000 | 0.100 | 2 | 0.2 | 3.00, 4.00 | 0 | 0: 2.00, 2; 1: 4.00, 1 | 0.840000 "
+        "| a | 2 % | 2 | 0.900000 | 0.100 | 2 | 0.2 | 3.00, 4.00 | 0 | 0: 2.00, 2; 1: 4.00, 1 | 2 | 0.840000 "
         "| 2.00, 2.00 | 5 |"
     )
     assert near.startswith("0 of 2 fits")
