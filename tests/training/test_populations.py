@@ -20,7 +20,7 @@ from gbspec.operations import comparing, models, tables
 from gbspec.training import TrainOptions, train, unbegun
 from gbspec.training.population import Layout, Marginal, Predictions, marginal
 from gbspec.training.population.predictions import _Graph
-from gbspec.training.population.results import effective_weights
+from gbspec.training.population.results import effective_weights, inverse
 from gbspec.training.recipe import build_context
 
 LEVEL = """model level
@@ -314,6 +314,12 @@ def test_unseen_trajectories_are_drawn_and_start_from_the_median(tmp_path: Path)
     drawn = [subject.individuals.drawn(subject.evaluator, random, {}).constants[0] for _ in range(400)]
     assert np.mean(drawn) == pytest.approx(subject.evaluator.constants[0], abs=0.3)
     assert np.std(drawn) == pytest.approx(subject.individuals.factor[0, 0], rel=0.15)
+
+
+def test_a_parameter_without_information_takes_no_certainty_from_the_others() -> None:
+    found = inverse(np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 4.0]]))
+    assert np.isnan(found[1]).all() and np.isnan(found[:, 1]).all()
+    np.testing.assert_allclose(found[np.ix_([0, 2], [0, 2])], np.linalg.inv([[4.0, 1.0], [1.0, 4.0]]))
 
 
 def test_an_unknown_start_is_refused(tmp_path: Path) -> None:

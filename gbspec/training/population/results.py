@@ -76,7 +76,7 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
     point = objective.at(weights, u, z, ridge, afresh=True)
     layout, likelihood = objective.layout, objective.marginal.likelihood
     curvature = objective.curvature(point, ridge) / 2
-    covariance = _inverse(curvature)
+    covariance = inverse(curvature)
     natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     modes = torch.from_numpy(point.z)
     of = likelihood.at(natural, modes, weights)
@@ -126,14 +126,17 @@ def _shrinkage(groups: Groups, deviations: Array) -> Array:
     return out
 
 
-def _inverse(matrix: Array) -> Array:
-    """The inverse of an information; directions without any have infinite variances, told as NaN."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+def inverse(matrix: Array) -> Array:
+    """The inverse of an information; NaN for parameters of which there is none, which leave the others as they are."""
+    known = np.flatnonzero(np.diag(matrix) > 0)
+    inner, out = matrix[np.ix_(known, known)], np.full_like(matrix, np.nan)
+    scale = np.sqrt(np.diag(inner))
     try:
-        found = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+        found = np.linalg.inv(inner / np.outer(scale, scale)) / np.outer(scale, scale)
     except np.linalg.LinAlgError:
-        return np.full_like(matrix, np.nan)
-    return np.where(np.isfinite(found), found, np.nan)
+        return out
+    out[np.ix_(known, known)] = np.where(np.isfinite(found), found, np.nan)
+    return out
 
 
 def _estimates(layout: Layout, u: Array, covariance: Array) -> Estimates:
