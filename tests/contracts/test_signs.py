@@ -79,6 +79,13 @@ def test_a_box_is_halved_up_to_a_number_of_times(monkeypatch: pytest.MonkeyPatch
     assert not Prover(BOX).positive(sympy.exp(u / 3) - 2 * u / 3 + 0.7)
 
 
+def test_a_power_of_a_corner_without_a_value_may_be_any() -> None:
+    """Such as inf^0, of which every limit is possible."""
+    found = enclosure(K**g, {K: Interval(1.0, math.inf, False, True), g: Interval(0.0, 1.0)})
+    assert found is not None and (found.low, found.high, found.positive) == (0.0, math.inf, True)
+    assert enclosure(K**g, {K: Interval(1.0, 4.0), g: Interval(0.5, 2.0)}) == Interval(1.0, 16.0)
+
+
 def test_decimal_coefficients_are_divided_without_a_remainder() -> None:
     prover = Prover({K: Interval(0.1, 10.0), g: POSITIVE})
     assert not prover.nonnegative(g - 2.0 * u**2 / (K**2 + u**2))

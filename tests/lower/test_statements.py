@@ -160,3 +160,10 @@ def test_learned_noises_with_one_expression_are_equal() -> None:
     assert first == again and hash(first) == hash(again) and first != other
     assert first != Noise("lognormal", float("nan"), a)
     assert Noise("normal", 0.1) == Noise("normal", 0.1) != Noise("normal", 0.2) != "normal"
+
+
+def test_an_effect_starts_at_zero_which_is_that_of_a_trajectory_unknown_to_the_fit() -> None:
+    lines = ("state x = 1", "effect e per trajectory", "unknown f(x, e) by mlp(2)", "x' = -f(x, e)", "initial x = 1")
+    made = model_of("\n".join(("model m", *lines, "observe x", "")))
+    (effect,) = [item for item in made.learnables if item.name == "e"]
+    assert effect.start == 0.0 and effect.per_trajectory and effect.distribution is not None
