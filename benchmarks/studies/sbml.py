@@ -150,10 +150,11 @@ def main() -> None:
     parser.add_argument("suite", type=Path)
     parser.add_argument("-o", dest="out", type=Path)
     parser.add_argument("--case", nargs="*", default=None)
+    parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     folders = [f for f in sorted(given.suite.iterdir()) if f.is_dir() and (not given.case or f.name in given.case)]
     begun = time.perf_counter()
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(given.workers) as pool:
         outcomes = list(pool.map(judged, folders, chunksize=4))
     if given.out is not None:
         given.out.write_text(page(outcomes, time.perf_counter() - begun), encoding="utf-8")

@@ -86,6 +86,22 @@ def test_a_steady_state_before_the_first_period(tmp_path: Path) -> None:
     assert sorted(values) == pytest.approx(sorted(expected), rel=1e-6)
 
 
+def test_a_trigger_that_a_condition_changes_after_a_steady_state_is_refused(tmp_path: Path) -> None:
+    """Whether it becomes true when the state is set is not said."""
+    experiments = "experimentId\ttime\tconditionId\none\t-inf\ta\none\t0\tb\n"
+    one = "\n".join(TABLES["measurements"].splitlines()[:2]) + "\n"
+    path = problem(tmp_path, experiments=experiments, measurements=one)
+    refill = made.event("refill", made.apply("lt", "y", "0.5"), {"y": "<cn>1</cn>"})
+    decay = made.sbml(
+        made.parameters("false", y="1", k="1"),
+        made.rules(y=made.apply("minus", made.apply("times", "k", "y"))),
+        made.happening(refill),
+    )
+    made.stored(tmp_path, decay)
+    with pytest.raises(UserError, match="what changes after the steady state"):
+        import_file(path, tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from gbspec.diagnostics import UserError
+from gbspec.imports.computing import decided
+from gbspec.imports.formulas import Formula, both, compared, named, number
 from gbspec.operations.importing import import_file
 from tests.imports import models as made
 from tests.imports.test_sbml import DECAY, LAW, solved, text_of
@@ -168,3 +170,18 @@ def test_events_at_different_times_may_use_each_other(tmp_path: Path) -> None:
     found = solved(tmp_path, made.sbml(FIXED, events))
     assert found["x"] == pytest.approx([1, 2, 2])
     assert found["y"] == pytest.approx([1, 1, 3])
+
+
+@pytest.mark.parametrize(
+    ("condition", "expected"),
+    [
+        (compared(">=", named("p"), number(500)), False),
+        (compared("<", named("p"), number(20)), True),
+        (compared(">", named("p"), number(5)), None),
+        (both([compared(">", named("p"), number(5)), compared(">", named("q"), number(3))]), False),
+        (compared(">", named("p") * named("q"), number(-1)), True),
+        (compared(">", named("unknown"), number(0)), None),
+    ],
+)
+def test_a_trigger_at_the_start_is_judged_by_bounds(condition: Formula, expected: bool | None) -> None:
+    assert decided(condition, {"q": 2.0}, {"p": (0.0, 10.0)}) is expected

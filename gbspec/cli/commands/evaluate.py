@@ -27,7 +27,8 @@ def run(
 ) -> None:
     """Evaluate the likelihood of data at a point: its negative logarithm, chi-squared, residuals and the gradient.
 
-    Whole solutions are compared with the data, whose noise the model or the table states; nothing is fitted.
+    Whole solutions are compared with the data, whose noise the model or the table states; nothing is fitted. Of a
+    population it is the marginal likelihood, of a model with `diffusion` that of the innovations.
     """
     from gbspec import frontend
     from gbspec.diagnostics import Findings

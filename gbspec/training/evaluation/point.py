@@ -176,7 +176,8 @@ def _values(
 ) -> tuple[Value, ...]:
     """The measured values with their predictions, trajectory by trajectory in the order of time."""
     packed, row = problem.packed, np.nonzero(problem.seen)[0]
-    measurement = np.where(measured.logarithm, np.exp(measured.value), measured.value)
+    logs = np.where(measured.logarithm, measured.value, 0.0)
+    measurement = np.where(measured.logarithm, np.exp(logs), measured.value)
     signs = {-1: "<", 1: ">", 0: ""}
     return tuple(
         Value(
