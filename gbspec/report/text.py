@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from gbspec.analysis import share_text
-
 if TYPE_CHECKING:
     from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
     from gbspec.runs import MemberRecord, ProfileRecord, Run
@@ -26,6 +24,8 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def share(r2: float | None) -> str:
     """An R² for a table, which is 1 only where it is."""
+    from gbspec.analysis import share_text
+
     return number(r2, 5) if r2 is None or r2 < 0.99 else share_text(r2)
 
 

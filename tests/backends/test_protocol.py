@@ -50,6 +50,8 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
     optional |= set() if any(event.rank is not None for event in model.events) else {"ranks"}
     optional |= {"steady_states"} if model.steady is not None else {"steady_states", "steady", "settled"}
     optional |= set() if model.steady is not None and model.steady.after else {"resumed"}
+    followed = model.steady is not None and any(event.guard is not None for event in model.events)
+    optional |= set() if followed else {"followed"}
     optional |= {"blocks"} if model.algebraics else {"blocks", "algebraic", "unsolved"}
     optional |= set() if any(event.timing is not None for event in model.events) else {"timing"}
     for method in set(offered(Equations)) - optional:

@@ -112,7 +112,7 @@ def test_a_model_with_a_network_is_fitted_at_a_step_that_does_not_show(tmp_path:
     finer = [stage for stage in member.stages if stage.name == "finer step"]
     assert 1 <= len(finer) <= 4
     assert "half step" in [stage.name for stage in member.stages]
-    shown = [f"largest step {0.5**n:.3g}" for n in range(1, len(finer) + 1)]
+    shown = [f"largest step {0.5**n:.3g}, since the error of twice this step showed" for n in range(1, len(finer) + 1)]
     assert [stage.remark for stage in finer] == shown
     assert list(dict.fromkeys(u.remark for u in recorder.updates if u.stage == "finer step")) == shown
     assert run.member().info["max_step"] == 0.5 ** len(finer)

@@ -52,15 +52,15 @@ def find(question: Question, deadline: float) -> Directions | None:
     """The directions at increasing order, until their number is constant; None (undecided) if the budget ends first.
 
     With every state measured two equal ranks in a row end the search, with unmeasured ones three: each unmeasured state
-    may need one more derivative before it affects an output. None of these may be below the order at which the last
-    constant can show.
+    may need one more derivative before it affects an output. The last of these must be above the order at which the
+    last constant can show.
     """
     needed = 3 if question.hidden else 2
     reach = Reach(question).orders()
     first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
     ranks: list[tuple[int, int, tuple[str, ...]]] = []
     branches = Branches(question)
-    for order in range(1, max(ORDERS[-1], min(first + needed, MOST_ORDERS)) + 1):
+    for order in range(1, max(ORDERS[-1], min(first + 1, MOST_ORDERS)) + 1):
         if size(question, order) > MOST_COLUMNS or time.process_time() > deadline:
             break
         found = at_order(question, order, deadline, branches)
@@ -69,7 +69,7 @@ def find(question: Question, deadline: float) -> Directions | None:
         if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
             return found
         ranks.append((found.basis.shape[1], found.doubtful.shape[1], found.functions))
-        if order + 1 >= first + needed and len(ranks) >= needed and len(set(ranks[-needed:])) == 1:
+        if order > first and len(ranks) >= needed and len(set(ranks[-needed:])) == 1:
             return found
     return None
 
