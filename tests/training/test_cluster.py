@@ -72,9 +72,11 @@ def holding(mark: Path) -> Callable[[], None]:
         tell = Sender.update
 
         def update(self: Sender, update: Update) -> None:
+            here = (update.member, update.stage) == (0, "lm") and not mark.exists()
+            if here:
+                mark.touch()  # before it tells, since it may be killed as soon as it has told
             tell(self, update)
-            if (update.member, update.stage) == (0, "lm") and not mark.exists():
-                mark.touch()
+            if here:
                 Event().wait()
 
         Sender.update = update  # type: ignore[method-assign]  # in the worker's process alone
