@@ -41,6 +41,8 @@ RUNS = {
 }
 """Models that are fitted, with the options of their simulated tables."""
 SPAN, INTERVAL = 2.0, 0.1
+STEP, STIFF = 0.01, {"robertson_gb": 0.001}
+"""The largest step of bundled models; the explicit method of a unit blows up at it where they are stiff."""
 PRECISIONS = ("float64", "float32")
 HEAD = """\
 # Exports
@@ -58,7 +60,7 @@ def subjects(folder: Path) -> list[tuple[str, Exported]]:
     found = []
     for name, path in sorted(shipped_models().items()):
         model = gbspec.load(path).model
-        found.append((name, Exported(model, load_module(model).random(1), name, step=0.01)))
+        found.append((name, Exported(model, load_module(model).random(1), name, step=STIFF.get(name, STEP))))
     for name, options in RUNS.items():
         model = gbspec.load(name)
         if (folder / name / "fit.json").is_file():

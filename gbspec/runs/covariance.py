@@ -32,6 +32,11 @@ class Support:
     points: Array
     owner: Array
 
+    def __post_init__(self) -> None:
+        """Raises ValueError if the arrays do not fit each other, as those of a damaged file."""
+        if self.points.ndim != 2 or self.owner.shape != self.points.shape[:1]:
+            raise ValueError(f"the arrays of a support have the shapes {self.points.shape}, {self.owner.shape}")
+
 
 @dataclass(frozen=True)
 class Covariance:
@@ -49,6 +54,13 @@ class Covariance:
     shares: Array
     coupling: Array
     conditional: Array
+
+    def __post_init__(self) -> None:
+        """Raises ValueError if the arrays do not fit each other, as those of a damaged file."""
+        known, (rank, count) = len(self.constants), self.vectors.shape
+        shapes = (self.shares.shape, self.coupling.shape, self.conditional.shape)
+        if shapes != ((rank,), (known, count), (known, known)):
+            raise ValueError(f"the arrays of a covariance have the shapes {(rank, count)}, {shapes}")
 
     def deviations(self, weights: Array, constants: Array) -> Array:
         """Standard deviations [P] of results with the derivatives `weights` [P, n] and `constants` [P, k]."""

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings
 from gbspec.runs import files
@@ -54,8 +56,12 @@ def sealed(info: Mapping[str, object], weights: Mapping[str, Array], summary: Su
 
 
 def opened(member: GeneratedModule) -> Summary | None:
-    """The summary in a weights file, None for one of version 0.1.0. Raises ValueError if the file was changed."""
+    """The summary in a weights file, None for one of version 0.1.0. Raises ValueError if the file was changed, or has
+    no initial state for each of its trajectories."""
     info = dict(member.info)
+    known = info.get("fingerprints")
+    if known and np.shape(member.weights.get("initial", ())) != (len(known), len(member.states)):
+        raise ValueError("it has not an initial state for each of its trajectories")
     if SEAL not in info:
         return None
     if info.pop(SEAL) != files.digest_of(member.weights, json.dumps(info)):

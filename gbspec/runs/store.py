@@ -15,7 +15,7 @@ from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
-from gbspec.runs.covariance import Certainties, read_certainties
+from gbspec.runs.covariance import Certainties, Covariance, read_certainties
 from gbspec.runs.profiles import ProfileRecord, read_profile
 from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, MemberRecord, comparable_losses, read_record
 
@@ -85,8 +85,17 @@ class Run:
     def certainties(self, number: int = 0) -> Certainties:
         """The covariance of a member's parameters, and where its unknowns were trained; empty for older runs."""
         if number not in self._certainties:
-            self._certainties[number] = read_certainties(files.member_directory(self.path, number))
+            found = read_certainties(files.member_directory(self.path, number))
+            self._certainties[number] = found if self._fits(found.covariance, number) else Certainties()
         return self._certainties[number]
+
+    def _fits(self, known: Covariance | None, number: int) -> bool:
+        """Whether a covariance is one of the member's weights and of learned constants, as it is unless damaged."""
+        if known is None:
+            return True
+        weights, learned = self.member(number).weights, {k.name for k in self.model.learnables}
+        sizes = [np.size(weights[name]) if name in weights else -1 for name in known.names]
+        return min(sizes, default=0) >= 0 and sum(sizes) == known.vectors.shape[1] and set(known.constants) <= learned
 
     @cached_property
     def _certainties(self) -> dict[int, Certainties]:

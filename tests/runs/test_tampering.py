@@ -48,6 +48,24 @@ def test_a_history_cut_short_is_damaged(run: Path, content: str) -> None:
         open_run(run).history()
 
 
+def test_weights_without_initial_states_are_damaged(run: Path) -> None:
+    member = open_run(run).member(0)
+    weights = {name: value for name, value in member.weights.items() if name != "initial"}
+    info = {name: value for name, value in member.info.items() if name != "sha256"}
+    type(member)(weights, info).save(files.member_directory(run, 0) / files.WEIGHTS)
+    tampering.resealed(run)
+    with pytest.raises(UserError, match=r"GB853.*member 0"):
+        open_run(run).member(0)
+
+
+def test_a_checkpoint_with_deviations_of_another_shape_is_damaged(run: Path) -> None:
+    path = run / "members" / "1" / "checkpoint.safetensors"
+    arrays, remarks = files.read_tensors(path)
+    files.write_tensors(path, {**arrays, "deviations": arrays["deviations"][:, None]}, remarks)
+    status, _, said = tampering.called(tampering.COMMANDS[-1], run.parent)
+    assert status == 1 and "another shape" in said
+
+
 @pytest.mark.parametrize("name", ["theta", "best", "entry", "deviations"])
 def test_a_checkpoint_without_a_vector_is_damaged(run: Path, name: str) -> None:
     path = run / "members" / "1" / "checkpoint.safetensors"

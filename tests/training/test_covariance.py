@@ -13,7 +13,7 @@ from gbspec.analysis.prediction.displaced import Displaced
 from gbspec.analysis.prediction.solutions import Start
 from gbspec.backends import load_module
 from gbspec.data.trajectories import Trajectories
-from gbspec.runs import Certainties, Covariance, Support, read_certainties
+from gbspec.runs import Certainties, Covariance, Support, files, read_certainties
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise import curvature as module
@@ -96,6 +96,16 @@ def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
                                known.deviations(np.eye(5), np.ones((5, 1))))  # fmt: skip
     np.testing.assert_array_equal(found.support["f"].points, np.ones((3, 2)))
     (tmp_path / "covariance.safetensors").write_bytes(b"damaged")
+    assert read_certainties(tmp_path) == Certainties()
+
+
+@pytest.mark.parametrize("name", ["vectors", "shares", "coupling", "conditional", "owner.f"])
+def test_arrays_that_do_not_fit_each_other_are_damage(tmp_path: Path, name: str) -> None:
+    known = Covariance(("w",), ("k",), 0.5, np.eye(2, 5), np.ones(2), np.ones((1, 5)), np.eye(1))
+    Certainties(known, {"f": Support(np.ones((3, 2)), np.arange(3.0))}).write(tmp_path)
+    arrays, remarks = files.read_tensors(tmp_path / "covariance.safetensors")
+    arrays[name] = np.concatenate([arrays[name], arrays[name]])
+    files.write_tensors(tmp_path / "covariance.safetensors", arrays, remarks)
     assert read_certainties(tmp_path) == Certainties()
 
 

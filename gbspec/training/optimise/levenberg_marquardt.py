@@ -174,6 +174,12 @@ class Certainty:
     freedom: float = float("nan")
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
+    def __post_init__(self) -> None:
+        """Raises ValueError if the arrays do not fit each other, as those of a damaged file."""
+        count = self.deviations.shape
+        if len(count) != 1 or self.own.ndim != 2 or self.correlations.shape not in ((0, 0), count * 2):
+            raise ValueError("the standard deviations, or their correlations, have another shape")
+
     @classmethod
     def unknown(cls, parameters: Parameters) -> Certainty:
         """The result if nothing is known."""
