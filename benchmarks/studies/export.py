@@ -106,6 +106,8 @@ def units(exported: Exported, folder: Path) -> list[str]:
                 **options,
             )  # fmt: skip
             times, keep = np.unique(found["time"], return_index=True)
+            even = np.abs(times / INTERVAL - np.round(times / INTERVAL)) < 1e-6  # not those of events, before and after
+            times, keep = times[even], keep[even]
             x0 = evaluator.initial(exported.states, exported.conditions)
             inputs = tuple(Signal(np.array([exported.start]), np.array([value])) for value in held)
             doses = tuple(DoseEvents(np.zeros(0), np.zeros(0)) for _ in model.doses)
