@@ -243,10 +243,10 @@ def one(kind: str, number: int, seconds: float, steps: int, whole: dict[str, obj
     if status == 1:
         raise FailedError(f"{place}: the first call failed: {(place / 'stderr').read_text()[-500:]}")
     said["usable"] = usable(place / "out")
-    if kind in KINDS[2:] and status == 130 and not said["usable"]:
+    begun = (place / "out").is_dir()  # a signal may come before there is a run
+    if kind in KINDS[2:] and status == 130 and begun and not said["usable"]:
         raise FailedError(f"{place}: {kind} left no weights")
-    resume = (place / "out").is_dir()
-    status = ended(child(kind, place, resume))
+    status = ended(child(kind, place, begun))
     if status:
         raise FailedError(f"{place}: not continued: {(place / 'stderr').read_text()[-500:]}")
     if contents(place / "out") != whole:
