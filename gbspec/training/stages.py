@@ -52,7 +52,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.IMPUTED: (4, 6, 10),
     StageName.TEACHER: (6, 60, 200),
     StageName.HALF_STEP: (0, 30, 100),
-    StageName.WHOLE: (0, 40, 100),
+    StageName.WHOLE: (0, 100, 200),
     StageName.BLEND: (4, 4, 10),
     StageName.AUTOREGRESSIVE: (8, 100, 200),
     StageName.AS_ASKED: (8, 14, 60),

@@ -23,7 +23,7 @@ from gbspec.training.recipe.planned import At, Decision, Planned, Reached, alway
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.recipe.weighing import REWEIGHTINGS, noise_table, reweighed
-from gbspec.training.recipe.whole import ENOUGH, whole_of_exact_data
+from gbspec.training.recipe.whole import ENOUGH, ROUNDING, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -338,7 +338,7 @@ class _Planner:
 
     def _to_rounding(self, theta: Array) -> LevenbergOptions:
         """The same for whole solutions of exact data."""
-        return replace(self._close(theta), enough=ENOUGH["high"])
+        return replace(self._close(theta), enough=ROUNDING)
 
     def _above_step_error(self, theta: Array, residuals: Array) -> float:
         """The mean loss at which the whole step ends: a smaller loss would only fit the step's discretisation error."""
