@@ -78,7 +78,7 @@ def test_segments_share_their_end_rows_and_cover_everything() -> None:
 
 
 def test_later_segments_have_only_their_own_doses() -> None:
-    data = drive_data()
+    data = drive_data(1000, 40.0)
     item = replace(data.items[0], doses=(DoseEvents(np.array([0.0, 6.0]), np.array([1.0, 2.0])),))
     parts, _, first = cut(replace(data, items=(item,)), 60, everywhere=True)
     assert first.tolist() == [0, 60]
@@ -188,6 +188,18 @@ def test_further_attempts_limit_large_residuals_before_least_squares(monkeypatch
 
 
 @pytest.mark.usefixtures("quick_fits")
+def test_noise_alone_is_not_taken_for_a_disturbance(tmp_path: Path) -> None:
+    """Short segments have initial states of their own, which follow a part of the noise; whole solutions cannot."""
+    data = drive_data(1000, 40.0)
+    (exact,) = data.items
+    noise = 0.1 * np.random.default_rng(1).standard_normal(exact.values.shape)
+    noisy = replace(data, items=(replace(exact, values=exact.values + noise),))
+    run = train(model_of(DRIVE), noisy, TrainOptions(workers=1, seed=1), tmp_path / "run")
+    assert StageName.HORIZONS.value in [stage.name for stage in run.fit.members[0].stages]
+    assert not [warning for warning in run.fit.warnings if "disturbed" in warning]
+
+
+@pytest.mark.usefixtures("quick_fits")
 def test_a_drive_is_trained_with_default_options(tmp_path: Path) -> None:
     run = train(model_of(DRIVE), drive_data(), TrainOptions(workers=1, seed=1), tmp_path / "run")
     (member,) = run.fit.members
@@ -203,7 +215,7 @@ def test_whole_solutions_are_fitted_to_exact_data_of_which_a_state_is_not_measur
     hidden = train(model_of(DRIVE), drive_data(60), TrainOptions(workers=1, seed=1), tmp_path / "hidden")
     losses = [float(row["loss"]) for row in hidden.history() if row["stage"] == StageName.WHOLE]
     assert losses[-1] < 0.9 * losses[0]
-    data = drive_data(60)
+    data = drive_data(1000, 40.0)
     (item,) = data.items
     both = replace(item, **{name: np.hstack([getattr(item, name)] * 2) for name in ("values", "counts", "sd")})
     both.values[:, 1] = np.gradient(both.values[:, 0], item.times)

@@ -22,7 +22,8 @@ ATTEMPTS: dict[Effort, int] = {"low": 1, "normal": 6, "high": 6}
 FOLLOWED = 0.005
 """A mean loss of whole solutions below this (R² above 0.99) needs no further attempt."""
 AS_SEGMENTS = 3.0
-"""Nor does one below this multiple of the loss of the shortest segments, which is due to noise then."""
+"""Nor does one below this multiple of the loss of the shortest segments, which is due to noise then: segments have
+initial states of their own, which follow part of the noise."""
 LIMITED = (1, 3)
 """The attempts whose horizons begin with Huber's function, so that segments far from the data count little: an ignition
 at a wrong time in few of them can otherwise keep all the others from the dynamics."""

@@ -18,7 +18,7 @@ from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, finer_step
 from gbspec.training.recipe.further import Further
-from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
+from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
@@ -386,7 +386,9 @@ class _Planner:
         if StageName.HORIZONS in marks:
             segments = Segments.of(context, self.released, horizons(context)[0])
             earlier = marks[StageName.HORIZONS]
-            return ChoiceOfFit(lambda theta: short_loss(context, segments, theta), free, earlier, context.seed)
+            return ChoiceOfFit(
+                lambda theta: short_loss(context, segments, theta), free, earlier, context.seed, AS_SEGMENTS
+            )
         teacher = context.engine(self.released, 1.0)
         earlier = marks.get(StageName.STARTS_AGAIN, marks[StageName.TEACHER])
         return ChoiceOfFit(lambda theta: mean_loss(residual_vector(teacher, theta)), free, earlier, context.seed)

@@ -58,14 +58,17 @@ class ChoiceOfFit:
     Therefore both errors are computed for both fits (with initial states refitted for whole solutions), and the fit
     with the smaller product of its errors is chosen: only ratios of errors matter, not their sizes. One step.
 
-    `short` gives the loss of intervals, or of short segments, at a vector; `earlier` is the fit of these.
+    `short` gives the loss of intervals, or of short segments, at a vector; `earlier` is the fit of these. Of noisy data
+    without disturbances the loss of whole solutions is at most about `margin` times that.
     """
 
     name = StageName.CHOICE.value
     total = 1
 
-    def __init__(self, short: Callable[[Array], float], free: Engine, earlier: Array, seed: int) -> None:
-        self.short, self.free = short, free
+    def __init__(
+        self, short: Callable[[Array], float], free: Engine, earlier: Array, seed: int, margin: float = 1.0
+    ) -> None:
+        self.short, self.free, self.margin = short, free, margin
         self.earlier, self.seed = earlier, seed
 
     def begin(self, theta: Array) -> State:
@@ -76,14 +79,13 @@ class ChoiceOfFit:
         """Compares the two fits."""
         late = state["theta"]
         interval, whole = self._losses(late, late)
-        note = WHOLE_WORSE if whole > interval else ""
-        if whole <= interval:
+        if whole <= self.margin * interval:
             return Outcome(state, whole, True)
         refitted = refit_starts(self.free, self.earlier, self.seed)
         other_interval, other_whole = self._losses(self.earlier, refitted)
         if _product(other_interval, other_whole) < _product(interval, whole):
-            return Outcome({"theta": refitted}, other_interval, True, f"{note}; the fit of intervals was kept")
-        return Outcome(state, whole, True, note)
+            return Outcome({"theta": refitted}, other_interval, True, f"{WHOLE_WORSE}; the fit of intervals was kept")
+        return Outcome(state, whole, True, WHOLE_WORSE)
 
     def _losses(self, of_intervals: Array, of_whole: Array) -> tuple[float, float]:
         """Mean losses over intervals and of whole solutions."""
