@@ -47,7 +47,7 @@ class StageName(StrEnum):
 UNNAMED = frozenset({StageName.LEVENBERG_MARQUARDT, StageName.WARM_START})
 """Stages that other options select (`--method`, `--no-warm-start`); `--stages` selects among the others."""
 
-_MOST: Mapping[StageName, tuple[int, int, int]] = {
+_MOST: Mapping[str, tuple[int, int, int]] = {
     StageName.ADAM: (15, 25, 60),
     StageName.IMPUTED: (4, 6, 10),
     StageName.TEACHER: (6, 60, 200),
@@ -71,6 +71,6 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
 _EFFORTS: tuple[Effort, ...] = ("low", "normal", "high")
 
 
-def most_iterations(stage: StageName, effort: Effort) -> int:
+def most_iterations(stage: str, effort: Effort) -> int:
     """The largest number of iterations of a stage; 1 for stages that consist of one step at any effort."""
     return _MOST[stage][_EFFORTS.index(effort)] if stage in _MOST else 1

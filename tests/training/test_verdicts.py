@@ -9,11 +9,13 @@ import pytest
 
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.runs import ChannelRecord
+from gbspec.runs import ChannelRecord, StageRecord
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
 from gbspec.training.profile.likelihood import profile_constant
+from gbspec.training.runs.fit import warnings_of
+from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import autocorrelations, verdicts, widening
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
@@ -172,3 +174,28 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     text = f"{model.text}learn s_x : K/h^0.5 = 0.1 > 0\ndiffusion x = s_x\n"
     (said,) = autocorrelations(followed, model_of(text), {})
     assert "lacks more" in said
+
+
+def fitted(sd: float, r2: float, *stages: StageRecord) -> MemberResult:
+    channels = {"x": ChannelRecord(r2, 0.0, autocorrelation=0.9, pairs=100)}
+    known = {"k": sd}
+    return MemberResult(0, 0.1, 0.1, channels, {"x": 1.0}, {}, {"k": 1.0}, known, 1.0, list(stages), np.zeros(0), [])
+
+
+@pytest.mark.parametrize(
+    ("sd", "r2", "iterations", "said"),
+    [
+        (0.1, 0.997, 100, "intervals are"),
+        (np.nan, 0.997, 100, "not come to rest (`autoregressive` ended after its 100 iterations)"),
+        (np.nan, 0.997, 7, "not come to rest: "),
+        (np.nan, 1 - 1e-5, 100, ""),
+    ],
+)
+def test_a_fit_without_intervals_says_that_its_residuals_are_no_noise(
+    sd: float, r2: float, iterations: int, said: str
+) -> None:
+    """Constants have no standard deviations where a stage ended before it rested, which was passed over in silence."""
+    stages = (StageRecord("initial states", 1, 0.2, 1.0), StageRecord("autoregressive", iterations, 0.1, 1.0))
+    found = warnings_of({0: fitted(sd, r2, *stages)}, TrainOptions(members=1))
+    assert len(found) == bool(said)
+    assert all(said in text and "autocorrelated" in text for text in found)

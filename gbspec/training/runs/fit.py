@@ -47,7 +47,8 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import autocorrelations, inseparable, verdicts
+from gbspec.training.runs.verdict import autocorrelations, inseparable, unrested, verdicts
+from gbspec.training.stages import most_iterations
 from gbspec.training.starts import earlier
 from gbspec.version import __version__
 
@@ -413,8 +414,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these trajectories do not count as fitted"
             )
-        known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
-        left = autocorrelations(result.channels, model, result.rmse) if known else []
+        left = _of_residuals(result, options, model)
         out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
@@ -422,3 +422,14 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
     if missing > 0:
         out.append(f"{missing} of {options.members} members were not fitted")
     return out
+
+
+def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
+    """What is said of autocorrelated residuals, also of a fit that did not rest, so that its intervals are unknown."""
+    if not result.sd or any(np.isfinite(sd) for sd in result.sd.values()):
+        return autocorrelations(result.channels, model, result.rmse)
+    if model is not None and model.marginal:
+        return []
+    full = [one for one in result.stages if one.iterations == most_iterations(one.name, options.effort) > 1]
+    last = f" (`{full[-1].name}` ended after its {full[-1].iterations} iterations)" if full else ""
+    return unrested(result.channels, last)

@@ -20,6 +20,8 @@ AUTOCORRELATED = 0.5
 measurement."""
 EXACT = 1e-6
 """A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
+VISIBLE = 1e-4
+"""The same of a fit that gave no standard deviations: stages of exact data end before such fractions matter."""
 
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
@@ -57,10 +59,7 @@ def autocorrelations(
     found = _following(channels)
     if not found:
         return []
-    listed = ", ".join(
-        f"`{name}` (correlation {channels[name].autocorrelation:.3g} with the next row's)" for name in found
-    )
-    factor = widening(channels)
+    listed, factor = _listed(found, channels), widening(channels)
     effect = (
         f"intervals are {factor:.2g} times as wide as if they were independent"
         if factor > 1
@@ -70,6 +69,24 @@ def autocorrelations(
         f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
         f"measurement. Each row tells less than a new one would: {effect}" + _offer(found, model, rmse or {})
     ]
+
+
+def unrested(channels: Mapping[str, ChannelRecord], ended: str) -> list[str]:
+    """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself)."""
+    found = _following(channels, VISIBLE)
+    if not found:
+        return []
+    return [
+        f"the residuals of {_listed(found, channels)} are autocorrelated, and the fit has not come to rest{ended}: "
+        "they are errors of the fit or of the model, not noise of measurement, and constants have no intervals. What "
+        "may help: `--effort high`, `--members 5`, narrower bounds, ranges of unmeasured states, or another model"
+    ]
+
+
+def _listed(found: list[str], channels: Mapping[str, ChannelRecord]) -> str:
+    return ", ".join(
+        f"`{name}` (correlation {channels[name].autocorrelation:.3g} with the next row's)" for name in found
+    )
 
 
 def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> str:
@@ -91,14 +108,14 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
     )
 
 
-def _following(channels: Mapping[str, ChannelRecord]) -> list[str]:
-    """The channels whose residuals are correlated with the next ones."""
+def _following(channels: Mapping[str, ChannelRecord], explained: float = EXACT) -> list[str]:
+    """The channels whose residuals are correlated with the next ones, and are a larger fraction than `explained`."""
     return [
         name
         for name, one in channels.items()
         if one.autocorrelation is not None
         and one.r2 is not None
-        and 1 - one.r2 > EXACT
+        and 1 - one.r2 > explained
         and one.autocorrelation > AUTOCORRELATED + 2 / math.sqrt(max(one.pairs, 1))
     ]
 
