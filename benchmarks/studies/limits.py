@@ -278,7 +278,7 @@ computed. Unknown functions in conditions, resets and times of events are fitted
 than by the kernel.
 
 Algebraic variables that need a search (`equation` without a formula for them): events, disturbances, populations and
-learned noises are not offered together with them yet (GB361), nor `export` and C code (GB808); with
+learned noises are not offered together with them yet (GB361), nor export to ONNX and `compile --emit c` (GB808); with
 unknown functions in the equations fits use torch.
 Identifiability is undecided. An index above 1 is refused with the derivative that helps (GB360), not reduced.
 
@@ -289,9 +289,9 @@ and no C code (GB808); the kernel does not cover them. Their identifiability is 
 covariance of their Hopf points is computed. A learned delay whose lower bound is far below the time between
 measurements makes fits slow, since no step is longer than it.
 
-Steady starts (`initial steady`) are not offered with `diffusion`, populations, learned noises and events with a
-condition (GB375), nor where the time itself occurs in a balance (GB376); such a model is exported to PEtab alone
-(GB808). Its identifiability is undecided.
+Steady starts (`initial steady`) are not offered with `diffusion`, populations and learned noises, nor with events
+whose condition depends on the time, that are `armed` or that wait (GB375), nor where the time itself occurs in a
+balance (GB376); such a model is exported to PEtab alone (GB808). Its identifiability is undecided.
 
 Splines (`by spline(12)`) have one or two arguments (GB228), each with a range (GB610), and no curvatures, symmetries,
 periods or directions in both arguments (GB607).

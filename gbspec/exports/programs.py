@@ -11,7 +11,7 @@ from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
 from gbspec.backends import Flat, NotCoveredError, Operation, flatten
-from gbspec.ir import Event, Expr, Model, State, Unknown, unknown_function
+from gbspec.ir import Algebraic, Event, Expr, Model, State, Unknown, unknown_function
 
 MOST_OPERATIONS = 20_000
 """Most operations of one function: compilers take minutes for straight code that is longer."""
@@ -28,16 +28,29 @@ class Application:
     label: str
 
 
-class Programs:
-    """The functions of a model, each flattened once. Raises NotCoveredError for what no export can express."""
+@dataclass(frozen=True)
+class Search:
+    """Equations that are solved together: `residual` is what is left of them, `variables` are those sought, of which
+    the first has the place `first` among all algebraic variables."""
 
-    def __init__(self, model: Model, events: bool = False) -> None:
+    first: int
+    variables: tuple[Algebraic, ...]
+    residual: Flat
+
+
+class Programs:
+    """The functions of a model, each flattened once. Raises NotCoveredError for what no export can express.
+
+    `events`, `algebraics`: whether the form carries out events, and solves equations.
+    """
+
+    def __init__(self, model: Model, *, events: bool = False, algebraics: bool = False) -> None:
         if model.delays:
             raise NotCoveredError("it has delays, for which an exported program would have to keep its past")
         if model.events and not events:
             raise NotCoveredError("it has events, which only functional mock-up units carry out yet")
-        if model.algebraics:
-            raise NotCoveredError("it has algebraic variables, for which no exported program solves equations yet")
+        if model.algebraics and not algebraics:
+            raise NotCoveredError("it has algebraic variables, for which graphs of operations can seek no solution")
         if model.steady is not None:
             raise NotCoveredError("it starts in a steady state, which no exported program finds yet")
         self.model = model
@@ -65,6 +78,27 @@ class Programs:
         return self._flat(out)
 
     @cached_property
+    def searches(self) -> tuple[Search, ...]:
+        """The searches for algebraic variables, each of which knows what those before it found."""
+        variables = {item.name: item for item in self.model.algebraics}
+        equations = {item.name: item.residual for item in self.model.constraints}
+        found, first = [], 0
+        for block in self.model.blocks:
+            if not block.explicit:
+                flat = self._flat([equations[name] for name in block.equations])
+                found.append(Search(first, tuple(variables[name] for name in block.variables), flat))
+                first += len(block.variables)
+        return tuple(found)
+
+    @cached_property
+    def _everything(self) -> tuple[Expr, ...]:
+        """All that is computed at a time: balances, channels, and what is left of equations that need a search."""
+        sought = {name for block in self.model.blocks if not block.explicit for name in block.equations}
+        left = [equation.residual for equation in self.model.constraints if equation.name in sought]
+        channels = [channel.value for channel in self.model.channels]
+        return self.model.inlined((*self.model.balances, *channels, *left))
+
+    @cached_property
     def switches(self) -> Flat:
         """Those quantities."""
         return self._flat(self.switched)
@@ -73,13 +107,14 @@ class Programs:
     def switched(self) -> list[Expr]:
         """The quantities whose signs decide which branches are taken: differences of the sides of comparisons."""
         found: dict[Expr, None] = {}
-        for value in self.model.inlined((*self.model.balances, *(channel.value for channel in self.model.channels))):
+        for value in self._everything:
             for choice in sorted(value.atoms(sympy.Piecewise), key=sympy.default_sort_key):
                 for _, condition in choice.args:
                     for relation in sorted(condition.atoms(Relational), key=sympy.default_sort_key):
                         if not isinstance(relation, sympy.Eq | sympy.Ne):
                             found[sympy.Add(relation.lhs, sympy.Mul(-1, relation.rhs))] = None
-        moving = {item.symbol for group in (self.model.states, self.model.inputs) for item in group}
+        groups = (self.model.states, self.model.inputs, self.model.algebraics)
+        moving = {item.symbol for group in groups for item in group}
         moving.add(self.model.time.symbol)
         return [value for value in found if value.free_symbols & moving]
 
@@ -136,7 +171,7 @@ class Programs:
         if not model.unknowns:
             return ()
         found: dict[str, set[Expr]] = {}
-        for value in model.inlined((*model.balances, *(channel.value for channel in model.channels))):
+        for value in self._everything:
             for node in value.atoms(AppliedUndef):
                 found.setdefault(node.func.__name__, set()).add(node)
         out = []
@@ -165,17 +200,40 @@ class Programs:
             states=tuple(State(argument.name) for argument in formals),
             conditions=tuple(item for item in self.model.conditions if item.name not in names),
             inputs=tuple(item for item in self.model.inputs if item.name not in names),
+            algebraics=(),
         )
         if self.model.time.name in names:
             shadowed = replace(shadowed, time=replace(shadowed.time, name=" none"))
         return flatten(shadowed, [unknown_function(unknown.name)(*(a.symbol for a in formals))])
 
+    def dependencies(self, flat: Flat) -> list[set[sympy.Symbol]]:
+        """For each output the leaves that it depends on; an algebraic variable counts by those of its equations.
+
+        A condition counts, the point of a contract does not.
+        """
+        return [set[sympy.Symbol]().union(*map(self.behind, found)) for found in _reached(flat)]
+
+    def behind(self, symbol: sympy.Symbol) -> set[sympy.Symbol]:
+        """What an algebraic variable depends on; of another quantity itself."""
+        return self._behind.get(symbol, {symbol})
+
+    @cached_property
+    def _behind(self) -> dict[sympy.Symbol, set[sympy.Symbol]]:
+        """What each algebraic variable depends on."""
+        table: dict[sympy.Symbol, set[sympy.Symbol]] = {}
+        for search in self.searches:
+            own = {item.symbol for item in search.variables}
+            read = set[sympy.Symbol]().union(*_reached(search.residual)) - own
+            found = set[sympy.Symbol]().union(*(table.get(s, {s}) for s in read))
+            table |= dict.fromkeys(own, found)
+        return table
+
     def _flat(self, outputs: Sequence[Expr]) -> Flat:
         return flatten(self.model, outputs, MOST_OPERATIONS, MOST_CALLS)
 
 
-def dependencies(flat: Flat) -> list[set[sympy.Symbol]]:
-    """For each output the leaves that it depends on; a condition counts, the point of a contract does not."""
+def _reached(flat: Flat) -> list[frozenset[sympy.Symbol]]:
+    """For each output the leaves that it is computed from."""
     reached: dict[sympy.Basic, frozenset[sympy.Symbol]] = {
         symbol: frozenset([symbol]) for symbol, leaf in flat.leaves.items() if leaf.kind != "number"
     }
@@ -186,4 +244,4 @@ def dependencies(flat: Flat) -> list[set[sympy.Symbol]]:
         else:
             found = nothing.union(*(reached.get(a, nothing) for a in step.arguments))
             reached.update(dict.fromkeys(step.results, found))
-    return [set(reached.get(output, nothing)) for output in flat.outputs]
+    return [reached.get(output, nothing) for output in flat.outputs]

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib import resources
 
-from gbspec.backends import Leaf, table_function, table_functions
+from gbspec.backends import Flat, Leaf, table_function, table_functions
 from gbspec.exports.c import networks
 from gbspec.exports.c.names import OWN, CNames
 from gbspec.exports.c.printer import ascii_text, distinct, helpers, number, table
-from gbspec.exports.c.straight import Place, Straight, function
+from gbspec.exports.c.searching import searching
+from gbspec.exports.c.straight import Place, Straight, function, unused
 from gbspec.exports.programs import Programs
 from gbspec.exports.subject import Exported
 
@@ -27,7 +27,7 @@ class Library:
 
     def __init__(self, exported: Exported, programs: Programs | None = None) -> None:
         self.exported, self.model = exported, exported.model
-        self.programs = programs or Programs(exported.model)
+        self.programs = programs or Programs(exported.model, algebraics=True)
         self.names = CNames(exported.model)
         self.prefix = self.names.prefix
 
@@ -42,6 +42,7 @@ class Library:
             "CHANNELS": len(model.channels),
             "DOSES": len(model.doses),
             "FUNCTIONS": len(self.programs.applications),
+            "ALGEBRAICS": len(model.algebraics),
             "SWITCHES": len(self.programs.switches.outputs),
             "NODES": len(self.exported.method.nodes),
         }
@@ -69,6 +70,8 @@ class Library:
             lines.append(f"    double {member}; /* {ascii_text(said)} */")
         lines += ["    double unused; /* a struct needs a member */"] * (not given)
         lines += [f"}} {p}_parameters;", "", *_text("header.h").replace("PREFIX", p).splitlines()]
+        if model.algebraics:
+            lines += _text("algebraic.h").replace("PREFIX", p).splitlines()
         if model.events:
             lines += _text("events.h").replace("PREFIX", p).splitlines()
         for name, arguments in self._unknowns():
@@ -99,15 +102,16 @@ class Library:
         for i, (network, numbers) in enumerate(zip(model.networks, self.exported.networks, strict=True)):
             body += networks.network(i, network, numbers)
         body += self._defaults()
+        body += searching(programs, self.prefix, self._place, self._direction, _text("search.c"))
         body += self._initial()
         for name, flat in (("rhs", programs.rhs), ("observe", programs.observe), ("functions", programs.functions)):
             out = {"rhs": "dx", "observe": "y", "functions": "values"}[name]
-            lines = Straight(flat, self._place).body(out)
+            lines = self._straight(flat, out)
             head = f"void {self.prefix}_{name}({WHERE.format(self.prefix)}, double *{out})"
-            body += function(head, lines, _unused(["p", "t", "x", "u", out], lines))
-            lines = Straight(flat, self._place, self._direction).body("out")
+            body += function(head, lines, unused(["p", "t", "x", "u", out], lines))
+            lines = self._straight(flat, "out", along=True)
             head = f"void {self.prefix}_{name}_along({ALONG.format(self.prefix)}, double *out)"
-            body += function(head, lines, _unused(["p", "t", "x", "u", "dp", "dt", "dx", "du", "out"], lines))
+            body += function(head, lines, unused(["p", "t", "x", "u", "dp", "dt", "dx", "du", "out"], lines))
         body += [*self._outside(), *self._dose(), *self._events(), *self._called(), *self._step()]
         body += _text("simulate.c").replace("PREFIX_parameters", f"{self.prefix}_parameters").splitlines()
         text = "\n".join(body)
@@ -133,15 +137,30 @@ class Library:
                 return f"p->{self.names.constants[leaf.index]}"
             case "time":
                 return "t"
+            case "algebraic":
+                return f"solved[{leaf.index}]"
         return number(self.exported.numbers[leaf.index])
 
     def _direction(self, leaf: Leaf) -> str:
         place = self._place(leaf)
         if leaf.kind == "time":
             return "dt"
+        if leaf.kind == "algebraic":
+            return f"d{place}"
         if place.startswith("p->"):
             return f"dp ? d{place} : 0.0"
         return f"d{place[0]} ? d{place} : 0.0"
+
+    def _straight(self, flat: Flat, target: str, *, along: bool = False) -> list[str]:
+        """A function's lines; they begin with the algebraic variables if it reads any."""
+        lines, p = Straight(flat, self._place, self._direction if along else None).body(target), self.prefix
+        if not any("solved[" in line for line in lines):
+            return lines
+        count = len(self.model.algebraics)
+        first = [f"double solved[{count}]{f', dsolved[{count}]' if along else ''};"]
+        first.append(f"{p}_algebraic(p, t, x, u, solved);")
+        first += ["solved_along(p, t, x, u, solved, dp, dt, dx, du, dsolved);"] * along
+        return [*first, *lines]
 
     def _defaults(self) -> list[str]:
         values = [*self.exported.conditions, *self.exported.constants]
@@ -154,19 +173,18 @@ class Library:
         flat, count, p = self.programs.initial, len(self.model.states), self.prefix
         straight = Straight(flat, self._place).body("start")
         lines = [f"double start[{count}];", "int i;", *straight, f"for (i = 0; i < {count}; i++) x[i] = start[i];"]
-        out = function(f"void {p}_initial(const {p}_parameters *p, double *x)", lines, _unused(["p"], straight))
+        out = function(f"void {p}_initial(const {p}_parameters *p, double *x)", lines, unused(["p"], straight))
         lines = Straight(flat, self._place, self._direction).body("out")
         head = f"void {p}_initial_along(const {p}_parameters *p, const double *x, const {p}_parameters *dp, "
-        out += function(head + "const double *dx, double *out)", lines, _unused(["p", "x", "dp", "dx"], lines))
-        lines = Straight(self.programs.switches, self._place).body("z")
+        out += function(head + "const double *dx, double *out)", lines, unused(["p", "x", "dp", "dx"], lines))
+        lines = self._straight(self.programs.switches, "z")
         head = f"void {p}_switches({WHERE.format(p)}, double *z)"
-        return out + function(head, lines, _unused(["p", "t", "x", "u", "z"], lines))
+        return out + function(head, lines, unused(["p", "t", "x", "u", "z"], lines))
 
     def _outside(self) -> list[str]:
         """Whether the arguments of each application lie in the range that its network learned from."""
-        straight = Straight(self.programs.arguments, self._place)
         count = len(self.programs.arguments.outputs)
-        lines = [f"double a[{max(count, 1)}];", "int any = 0, out;", *straight.body("a")]
+        lines = [f"double a[{max(count, 1)}];", "int any = 0, out;", *self._straight(self.programs.arguments, "a")]
         position = 0
         for i, item in enumerate(self.programs.applications):
             numbers = self.exported.networks[item.unknown.network]
@@ -180,7 +198,7 @@ class Library:
         lines += ["(void)a;", "(void)out;", "return any;"]
         head = f"int {self.prefix}_outside({WHERE.format(self.prefix)}, int *which)"
         names = ["p", "t", "x", "u", "which"]
-        return function(head, lines, _unused(names, lines)) if count else function(head, ["return 0;"], names)
+        return function(head, lines, unused(names, lines)) if count else function(head, ["return 0;"], names)
 
     def _dose(self) -> list[str]:
         flat = self.programs.doses
@@ -190,7 +208,7 @@ class Library:
         head = f"void {self.prefix}_doses(const {self.prefix}_parameters *p, double *fraction, double *lag)"
         if not self.model.doses:
             return function(head, [], ["p", "fraction", "lag"])
-        return function(head, lines, _unused(["p"], lines))
+        return function(head, lines, unused(["p"], lines))
 
     def _events(self) -> list[str]:
         """What events need, in models that have any."""
@@ -199,19 +217,19 @@ class Library:
         programs, p, count = self.programs, self.prefix, len(self.model.states)
         out: list[str] = []
         for name, flat in (("guards", programs.guards), ("ranks", programs.ranks)):
-            lines = Straight(flat, self._place).body("values")
+            lines = self._straight(flat, "values")
             head = f"void {p}_{name}({WHERE.format(p)}, double *values)"
-            out += function(head, lines, _unused(["p", "t", "x", "u", "values"], lines))
+            out += function(head, lines, unused(["p", "t", "x", "u", "values"], lines))
         lines = Straight(programs.timing, self._place).body("values")
         out += function(
-            f"void {p}_timing(const {p}_parameters *p, double *values)", lines, _unused(["p", "values"], lines)
+            f"void {p}_timing(const {p}_parameters *p, double *values)", lines, unused(["p", "values"], lines)
         )
         size = len(programs.happen.outputs)
-        straight = Straight(programs.happen, self._place).body("after")
+        straight = self._straight(programs.happen, "after")
         lines = [f"double after[{size}];", "int i;", *straight]
         lines.append(f"for (i = 0; i < {count}; i++) found[i] = after[{count} * event + i];")
         head = f"void {p}_happen({WHERE.format(p)}, int event, double *found)"
-        return out + function(head, lines, _unused(["p", "t", "x", "u"], straight))
+        return out + function(head, lines, unused(["p", "t", "x", "u"], straight))
 
     def _unknowns(self) -> Iterator[tuple[str, str]]:
         """The C name and the parameters of each learned function."""
@@ -231,7 +249,7 @@ class Library:
             formals = [part.removeprefix("double ") for part in listed.split(", ")]
             body = Straight(self.programs.unknown(unknown), self._formal(formals)).body("value")
             head = f"double {name}(const {self.prefix}_parameters *p, {listed})"
-            lines += function(head, ["double value[1];", *body, "return value[0];"], _unused(["p", *formals], body))
+            lines += function(head, ["double value[1];", *body, "return value[0];"], unused(["p", *formals], body))
         return lines
 
     def _formal(self, formals: Sequence[str]) -> Place:
@@ -251,12 +269,6 @@ class Library:
         places = [str(model.state_index[dose.state]) for dose in model.doses] or ["0"]
         lines += [*table("int", "DOSE_STATE", places), f"enum {{ STAGES = {stages} }};", ""]
         return [*lines, *_text("step.c").splitlines()]
-
-
-def _unused(names: Sequence[str], lines: Sequence[str]) -> list[str]:
-    """The parameters that no line uses."""
-    text = "\n".join(line.partition("/*")[0] for line in lines)
-    return [name for name in names if not re.search(rf"\b{name}\b", text)]
 
 
 @cache

@@ -29,6 +29,7 @@ OWN = frozenset(
         "ranks",
         "timing",
         "happen",
+        "algebraic",
     ]
 )
 """What follows the prefix in names of the library itself."""
@@ -75,5 +76,6 @@ class CNames:
             "CHANNEL": [item.name for item in self.model.channels],
             "DOSE": [item.state for item in self.model.doses],
             "FUNCTION": [item.label for item in programs.applications],
+            "ALGEBRAIC": [item.name for item in self.model.algebraics],
         }
         return {kind: [f"{self.upper}_{kind}_{name}" for name in distinct(names)] for kind, names in groups.items()}

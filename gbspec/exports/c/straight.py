@@ -130,6 +130,12 @@ def _needed(lines: Sequence[str]) -> list[str]:
     return kept[::-1]
 
 
+def unused(names: Sequence[str], lines: Sequence[str]) -> list[str]:
+    """The parameters that no line uses."""
+    text = "\n".join(line.partition("/*")[0] for line in lines)
+    return [name for name in names if not re.search(rf"\b{name}\b", text)]
+
+
 def function(head: str, lines: Sequence[str], unused: Sequence[str] = ()) -> list[str]:
     """A static or exported function; parameters that its body does not use are named, so that compilers accept them."""
     return [f"{head} {{", *(f"    (void){name};" for name in unused), *(f"    {line}" for line in lines), "}", ""]

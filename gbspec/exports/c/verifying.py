@@ -42,6 +42,9 @@ def errors(compiled: Compiled, library: Library, count: int = POINTS, seed: int 
             ACCEPTED,
         ),
     ]
+    if library.model.algebraics:
+        solved = compiled.values("algebraic", points, known.algebraics[0].shape[1])
+        found.append(compare("the algebraic variables", solved, known.algebraics, ACCEPTED))
     for name, word, pair in (
         ("rhs", "derivatives of the right-hand side", known.rhs_along),
         ("observe", "derivatives of the channels", known.observe_along),

@@ -54,6 +54,18 @@ class Reference:
         """The same of the channels."""
         return self._along(self.evaluator.observe)
 
+    @cached_property
+    def algebraics(self) -> Pair:
+        """The algebraic variables [R, n] and their size."""
+        if not self.exported.model.algebraics:
+            return self._none, self._none
+        t, x, condition, inputs, constants = self.points.arguments
+        instance = self.exported.instance
+        math, networks = instance.arithmetic("numpy"), instance.numpy_networks()
+        found = instance.equations.algebraic(math, t, x, condition, inputs, tuple(constants.T), networks)
+        values = np.asarray(found, dtype=np.float64)
+        return values, np.abs(values) + 1.0
+
     def _module(self, name: str) -> Array:
         """A method of the equations over numpy's arrays."""
         t, x, condition, inputs, constants = self.points.arguments
@@ -114,13 +126,15 @@ class Reference:
             arguments = [np.broadcast_to(self._value(a), len(self.points)) for a in node.args]
             return self.unknown(node.func.__name__, arguments)
         model = self.exported.model
-        groups = (model.states, model.conditions, model.inputs, (*model.constants, *model.learnables))
+        own = (*model.constants, *model.learnables)
+        groups = (model.states, model.conditions, model.inputs, own, model.algebraics)
         symbols = [model.time.symbol, *(item.symbol for group in groups for item in group), *table.values()]
         function = sympy.lambdify(symbols, node.xreplace(table), modules="numpy", dummify=True)
         t, x, condition, inputs, constants = self.points.arguments
         inner = [self._value(app) for app in table]
         with np.errstate(all="ignore"):
-            return np.asarray(function(t, *x.T, *condition.T, *inputs.T, *constants.T, *inner), dtype=np.float64)
+            columns = (*x.T, *condition.T, *inputs.T, *constants.T, *self.algebraics[0].T)
+            return np.asarray(function(t, *columns, *inner), dtype=np.float64)
 
     def unknown(self, name: str, arguments: list[Array]) -> Array:
         """The values [R] of an unknown at arguments [R] each."""

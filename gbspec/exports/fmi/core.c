@@ -43,6 +43,9 @@ void gb_evaluate(gb_instance *g) {
     PREFIX_rhs(&m->p, m->time, m->x, m->u, g->dx);
     PREFIX_observe(&m->p, m->time, m->x, m->u, g->y);
     PREFIX_functions(&m->p, m->time, m->x, m->u, g->f);
+#if GB_ALGEBRAICS > 0
+    PREFIX_algebraic(&m->p, m->time, m->x, m->u, g->solved);
+#endif
     gb_indicators(g, g->z);
     g->outside = PREFIX_outside(&m->p, m->time, m->x, m->u, NULL);
     g->fresh = 1;
@@ -59,7 +62,8 @@ int gb_get(gb_instance *g, unsigned vr, double *value) {
     else if (vr < VR_STEP) *value = m->regimen[vr - VR_REGIMEN];
     else if (vr == VR_STEP) *value = m->step;
     else if (vr < VR_FUNCTION) *value = g->y[vr - VR_CHANNEL];
-    else if (vr < VR_SWITCH) *value = g->f[vr - VR_FUNCTION];
+    else if (vr < VR_ALGEBRAIC) *value = g->f[vr - VR_FUNCTION];
+    else if (vr < VR_SWITCH) *value = g->solved[vr - VR_ALGEBRAIC];
     else if (vr < VR_OUTSIDE) *value = g->z[vr - VR_SWITCH]; /* and guards */
     else return 1;
     return 0;
@@ -368,7 +372,7 @@ int gb_along(gb_instance *g, const unsigned *unknowns, size_t n_unknowns, const 
     gb_memory *m = &g->memory;
     PREFIX_parameters dp;
     double dx[PREFIX_STATES], own[PREFIX_STATES], du[PREFIX_INPUTS + 1] = {0.0}, dt = 0.0, outer = 0.0;
-    double rates[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1];
+    double rates[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1], solved[GB_ALGEBRAICS + 1];
     size_t i;
     memset(&dp, 0, sizeof dp);
     memset(own, 0, sizeof own);
@@ -389,12 +393,18 @@ int gb_along(gb_instance *g, const unsigned *unknowns, size_t n_unknowns, const 
     PREFIX_rhs_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, rates);
     PREFIX_observe_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, y);
     PREFIX_functions_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, f);
+#if GB_ALGEBRAICS > 0
+    PREFIX_algebraic_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, solved);
+#else
+    (void)solved;
+#endif
     for (i = 0; i < n_unknowns; i++) {
         const unsigned vr = unknowns[i];
         if (vr >= VR_STATE && vr < VR_DERIVATIVE) found[i] = dx[vr - VR_STATE];
         else if (vr >= VR_DERIVATIVE && vr < VR_INPUT) found[i] = rates[vr - VR_DERIVATIVE];
         else if (vr >= VR_CHANNEL && vr < VR_FUNCTION) found[i] = y[vr - VR_CHANNEL];
-        else if (vr >= VR_FUNCTION && vr < VR_SWITCH) found[i] = f[vr - VR_FUNCTION];
+        else if (vr >= VR_FUNCTION && vr < VR_ALGEBRAIC) found[i] = f[vr - VR_FUNCTION];
+        else if (vr >= VR_ALGEBRAIC && vr < VR_SWITCH) found[i] = solved[vr - VR_ALGEBRAIC];
         else return 1;
     }
     return 0;

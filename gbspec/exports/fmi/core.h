@@ -18,7 +18,8 @@ enum {
     VR_STEP = VR_REGIMEN + 4 * PREFIX_DOSES,
     VR_CHANNEL = VR_STEP + 1,
     VR_FUNCTION = VR_CHANNEL + PREFIX_CHANNELS,
-    VR_SWITCH = VR_FUNCTION + PREFIX_FUNCTIONS,
+    VR_ALGEBRAIC = VR_FUNCTION + PREFIX_FUNCTIONS,
+    VR_SWITCH = VR_ALGEBRAIC + GB_ALGEBRAICS,
     VR_GUARD = VR_SWITCH + PREFIX_SWITCHES,
     VR_OUTSIDE = VR_GUARD + GB_GUARDS,
     VR_END = VR_OUTSIDE + 1
@@ -40,7 +41,8 @@ typedef struct {
 
 typedef struct {
     gb_memory memory;
-    double dx[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1], z[PREFIX_SWITCHES + GB_GUARDS + 1];
+    double dx[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1], solved[GB_ALGEBRAICS + 1];
+    double z[PREFIX_SWITCHES + GB_GUARDS + 1];
     int endless;        /* whether events follow each other without end */
     int outside, fresh; /* whether these are those of the memory */
     void *environment, *log;

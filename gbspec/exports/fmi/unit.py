@@ -44,7 +44,7 @@ SPACE = uuid.UUID("6c2f4c52-6a2b-5d0e-9a7e-0f6a3b1c9d55")
 
 def make(version: Version, exported: Exported, options: ExportOptions) -> Made:
     """A unit of FMI 2.0 or 3.0; compared with the generated module where a compiler is there."""
-    library = Library(exported, Programs(exported.model, events=True))
+    library = Library(exported, Programs(exported.model, events=True, algebraics=True))
     variables = Variables(library)
     name = library.prefix
     token = f"{{{uuid.uuid5(SPACE, f'{version} {exported.fingerprint}')}}}"
@@ -85,6 +85,7 @@ def _sources(library: Library, variables: Variables, version: Version, token: st
     defined = f'#define GB_PARAMETERS {variables.parameters}\n#define GB_TOKEN "{token}"\n'
     programs = library.programs
     defined += f"#define GB_GUARDS {len(programs.conditional)}\n#define GB_TIMED {len(programs.timed)}\n"
+    defined += f"#define GB_ALGEBRAICS {library.sizes['ALGEBRAICS']}\n"
     defined += f"#define GB_START {start[0]}\n#define GB_STEP {start[1]}\n\n"
     texts["gb_core.h"] = texts["gb_core.h"].replace("/* Value references", defined + "/* Value references", 1)
     texts["gb_core.c"] = texts["gb_core.c"].replace("#define ROUNDING", f"{tables}\n\n#define ROUNDING", 1)

@@ -10,7 +10,6 @@ from itertools import count
 import sympy
 
 from gbspec.exports.c import Library
-from gbspec.exports.programs import dependencies
 from gbspec.ir import Condition, Constant, Learnable
 
 REGIMEN = (
@@ -47,6 +46,7 @@ class Variables:
 
     def __init__(self, library: Library) -> None:
         self.library, self.exported, self.model = library, library.exported, library.model
+        self.programs = library.programs
         sizes, model = library.sizes, library.model
         self.parameters = max(len(library.names.parameters), 1)
         self.first: dict[str, int] = {}
@@ -60,6 +60,7 @@ class Variables:
             ("step", 1),
             ("channel", sizes["CHANNELS"]),
             ("function", sizes["FUNCTIONS"]),
+            ("algebraic", sizes["ALGEBRAICS"]),
             ("switch", sizes["SWITCHES"]),
             ("guard", len(library.programs.conditional)),
             ("outside", 1),
@@ -96,22 +97,23 @@ class Variables:
             yield Variable(item.name, vr, "input", start=start, unit=item.unit, description=item.description)
         yield from self._parameters()
         yield from self._channels()
-        programs, functions = self.library.programs, dependencies(self.library.programs.functions)
+        programs, functions = self.programs, self.programs.dependencies(self.programs.functions)
         for i, (application, on) in enumerate(zip(programs.applications, functions, strict=True)):
             unknown = application.unknown
             said = unknown.description or f"{application.node}"
             vr = self.first["function"] + i
             yield Variable(application.label, vr, "local", unit=unknown.unit, description=said, depends=self._refs(on))
-        for i, on in enumerate(dependencies(programs.switches)):
-            value = str(self.library.programs.switched[i])
+        yield from self._algebraics()
+        for i, on in enumerate(programs.dependencies(programs.switches)):
+            value = str(self.programs.switched[i])
             vr, refs = self.first["switch"] + i, self._refs(on)
             yield Variable(
                 f"switch[{i + 1}]", vr, "local", description=f"sign of {value}", indicator=True, depends=refs
             )
-        for i, (event, on) in enumerate(zip(programs.conditional, dependencies(programs.guards), strict=True)):
+        for i, (event, on) in enumerate(zip(programs.conditional, programs.dependencies(programs.guards), strict=True)):
             vr, said = self.first["guard"] + i, event.description or f"{event.condition}"
             yield Variable(f"event.{event.name}", vr, "local", description=said, indicator=True, depends=self._refs(on))
-        asked = set[sympy.Symbol]().union(*dependencies(programs.arguments))
+        asked = set[sympy.Symbol]().union(*programs.dependencies(programs.arguments))
         yield Variable(
             "outside",
             self.first["outside"],
@@ -126,7 +128,7 @@ class Variables:
 
     def _states(self) -> Iterator[Variable]:
         model, measured = self.model, self._measured
-        starts = dependencies(self.library.programs.initial)
+        starts = self.programs.dependencies(self.programs.initial)
         for i, state in enumerate(model.states):
             vr = self.first["state"] + i
             causality = "output" if state.name in measured else "local"
@@ -142,7 +144,7 @@ class Variables:
                 depends=(vr,) if causality == "output" else None,
                 initially=self._initially(starts[i]) if given else None,
             )
-        for i, (state, on) in enumerate(zip(model.states, dependencies(self.library.programs.rhs), strict=True)):
+        for i, (state, on) in enumerate(zip(model.states, self.programs.dependencies(self.programs.rhs), strict=True)):
             yield Variable(
                 f"der({state.name})",
                 self.first["derivative"] + i,
@@ -152,6 +154,14 @@ class Variables:
                 depends=self._refs(on),
                 initially=self._initially(on),
             )
+
+    def _algebraics(self) -> Iterator[Variable]:
+        """Those that no output of the same name gives."""
+        taken = {channel.name for channel in self.model.channels if str(channel.value) == channel.name}
+        for i, item in enumerate(self.model.algebraics):
+            if item.name not in taken:
+                vr, on = self.first["algebraic"] + i, self._refs(self.programs.behind(item.symbol))
+                yield Variable(item.name, vr, "local", unit=item.unit, description=item.description, depends=on)
 
     @property
     def _measured(self) -> set[str]:
@@ -196,7 +206,7 @@ class Variables:
 
     def _channels(self) -> Iterator[Variable]:
         for i, (channel, on) in enumerate(
-            zip(self.model.channels, dependencies(self.library.programs.observe), strict=True)
+            zip(self.model.channels, self.programs.dependencies(self.programs.observe), strict=True)
         ):
             if channel.name in self._measured:
                 continue
@@ -218,7 +228,7 @@ class Variables:
 
     def _initially(self, symbols: Iterable[sympy.Symbol]) -> tuple[int, ...]:
         """The value references of what is known at the start: states that are calculated count by what they are of."""
-        starts = dependencies(self.library.programs.initial)
+        starts = self.programs.dependencies(self.programs.initial)
         found: set[sympy.Symbol] = set()
         for symbol in symbols:
             index = self.model.state_index.get(symbol.name) if symbol in self._calculated else None
