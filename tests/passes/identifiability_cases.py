@@ -209,6 +209,12 @@ FURTHER: dict[str, Case] = {
         "observe y\n",
         0, set(), set(), "two slopes, however small",
     ),
+    "the logarithm of one of three states, whose sizes and constants differ by many decades": (
+        "state T in [0, 1e6]\nstate I in [0, 1e6]\nstate V in [1, 1e8]\nlearn beta in [1e-10, 1e-6]\n"
+        "learn delta in [0.01, 5]\nlearn p in [10, 10000]\nlearn c in [1, 50]\nunknown s(T)\n"
+        "T' = 10000*s - beta*T*V\nI' = beta*T*V - delta*I\nV' = p*I - c*V\nobserve y = log(V)\n",
+        1, {"p"}, {"s"}, "T and I in other units, p and s with them; free starts hide all else below the fourth order",
+    ),
 }  # fmt: skip
 
 UNDECIDED: dict[str, tuple[str, str]] = {

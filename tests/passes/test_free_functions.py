@@ -15,7 +15,7 @@ def system(*row: float) -> LinearSystem:
         Germ(name, (0.0,), (1.0,), [(0,)], np.ones(1), column, np.ones(1, dtype=bool))
         for column, name in enumerate("fg")
     ]
-    return LinearSystem(np.array([row]), germs, 0, {}, [], {})
+    return LinearSystem(np.array([row]), germs, 0, {}, [], {}, np.ones(len(row)), np.zeros((1, 0)))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,8 @@ MOST_COLUMNS = 1200
 ORDERS = range(1, 6)
 MOST_ORDERS = 15
 """The highest order where constants are far from what is observed."""
+PROBED = 1e-6
+"""A made-up term of which a smaller fraction is left counts as compensated."""
 LINES = 160
 SEED = 20
 
@@ -46,30 +48,39 @@ class Directions:
     functions: tuple[str, ...]
     order: int
     doubtful: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    tells: bool = True
+    """Whether the expansions are long enough: else they say nothing of any constant."""
 
 
 def find(question: Question, deadline: float) -> Directions | None:
     """The directions at increasing order, until their number is constant; None (undecided) if the budget ends first.
 
-    With every state measured two equal ranks in a row end the search, with unmeasured ones three: each unmeasured state
-    may need one more derivative before it affects an output. The last of these must be above the order at which the
-    last constant can show.
+    Equal ranks in a row end the search, of orders above that at which the last constant can show, and at which the
+    expansions tell something: at low orders free initial values of unmeasured states compensate everything. Two are
+    enough where made-up terms show that, three with unmeasured states where an unknown function of everything is in
+    each rate: each unmeasured state may need one more derivative before it affects an output.
     """
-    needed = 3 if question.hidden else 2
     reach = Reach(question).orders()
     first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
-    ranks: list[tuple[int, int, tuple[str, ...]]] = []
+    last = max(ORDERS[-1], min(first + 1, MOST_ORDERS))
+    needed = 3 if question.hidden and not question.probed else 2
+    past: list[Directions] = []
     branches = Branches(question)
-    for order in range(1, max(ORDERS[-1], min(first + 1, MOST_ORDERS)) + 1):
+    order, silent = 0, 0
+    while (order := order + 1) <= last + silent:
         if size(question, order) > MOST_COLUMNS or time.process_time() > deadline:
-            break
+            return None
         found = at_order(question, order, deadline, branches)
         if found is None:
-            break
+            return None
         if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
             return found
-        ranks.append((found.basis.shape[1], found.doubtful.shape[1], found.functions))
-        if order > first and len(ranks) >= needed and len(set(ranks[-needed:])) == 1:
+        if not found.tells:
+            silent += 1
+            continue
+        past.append(found)
+        ranks = {(each.basis.shape[1], each.doubtful.shape[1], each.functions) for each in past[-needed:]}
+        if order > first and len(past) >= needed and len(ranks) == 1:
             return found
     return None
 
@@ -109,7 +120,8 @@ def at_order(
     sure, basis = _common_null(certain, count), _common_null([*equations, *unsure], count)
     functions = _free_functions(systems) if not question.hidden else ()
     doubtful = _unscaled(_common_null([np.asarray(basis.T), _equations_of(sure)], count), scales)
-    return Directions(_unscaled(basis, scales), tuple(systems), tuple(bases), functions, order, doubtful)
+    tells = _tells(systems)
+    return Directions(_unscaled(basis, scales), tuple(systems), tuple(bases), functions, order, doubtful, tells)
 
 
 def _equations_of(basis: Array) -> Array:
@@ -159,11 +171,26 @@ def _unscaled(basis: Array, scales: Array) -> Array:
 
 
 def _scaled(system: LinearSystem) -> LinearSystem:
-    """Rows scaled to equal norm, so that high orders do not dominate low ones; zero rows removed."""
-    norms = np.max(np.abs(system.matrix), axis=1, initial=0.0)
+    """Rows scaled to equal norm, so that high orders do not dominate low ones; zero rows removed.
+
+    The norm is that of effects of changes of natural size: else a constant of 1e-8 hid all others of its rows.
+    """
+    norms = np.max(np.abs(system.matrix) * system.sizes, axis=1, initial=0.0)
     kept = norms > 1e-13
     system.matrix = system.matrix[kept] / norms[kept, None]
+    system.probes = system.probes[kept] / norms[kept, None]
     return system
+
+
+def _tells(systems: Sequence[LinearSystem]) -> bool:
+    """Whether an expansion is long enough to tell anything: at low order free initial values and functions compensate
+    everything, also made-up terms of the rates, so that it says nothing of constants that they compensate too."""
+    seen = np.zeros(systems[0].probes.shape[1], dtype=bool)
+    for system in systems:
+        sizes = np.linalg.norm(system.probes, axis=0)
+        left = np.linalg.norm(_without_others(system, system.probes), axis=0)
+        seen |= (left > PROBED * sizes) | (sizes < 1e-12)
+    return bool(seen.all())
 
 
 def _compressed(matrix: Array) -> Array:
@@ -173,17 +200,22 @@ def _compressed(matrix: Array) -> Array:
 
 def _reduced(system: LinearSystem, scales: Array) -> Array:
     """The equations in the constants only, in units of `scales`, with functions and initial values eliminated."""
-    matrix = _compressed(system.matrix)
-    constants, others = matrix[:, : system.constants] * scales, matrix[:, system.constants :]
-    if not others.shape[1] or not matrix.shape[0]:
-        return constants
+    return _without_others(system, system.matrix[:, : system.constants] * scales)
+
+
+def _without_others(system: LinearSystem, columns: Array) -> Array:
+    """Columns of residuals without what functions and initial values can compensate."""
+    whole = _compressed(np.concatenate([columns, system.matrix[:, system.constants :]], axis=1))
+    kept, others = whole[:, : columns.shape[1]], whole[:, columns.shape[1] :]
+    if not others.shape[1] or not whole.shape[0]:
+        return kept
     norms = np.linalg.norm(others, axis=0)
     others = others[:, norms > 0] / norms[norms > 0]
     if not others.shape[1]:
-        return constants
+        return kept
     left, values, _ = np.linalg.svd(others, full_matrices=False)
     span = left[:, values > SMALL * values[0]]
-    return constants - span @ (span.T @ constants)
+    return np.asarray(kept - span @ (span.T @ kept))
 
 
 def _common_null(equations: Sequence[Array], count: int) -> Array:

@@ -79,6 +79,10 @@ class LinearSystem:
     parameters: list[sympy.Symbol]
     own: dict[str, int]
     """The first column of each constant with a value per trajectory."""
+    sizes: Array
+    """The natural size of each column's quantity: of a constant its value, of an initial value its width."""
+    probes: Array
+    """The residuals' coefficients for made-up terms of the rates, one column for each state."""
     certain: bool = True
     """Whether data can show the base point."""
 
@@ -129,6 +133,10 @@ class Jet:
         self._parameters += [i.symbol for i in model.inputs] + [d.amount for d in question.doses]
         # Steps that follow each other fast come as close to a slope as one likes, so that held inputs have one too.
         self._slopes = [i.symbol for i in model.inputs]
+        self._probes = self._columns.take(len(self._states))
+        self._made: dict[int, Array] = {}
+        variables = len(self._states) + len(model.conditions)
+        self._factors = np.random.default_rng(variables).uniform(0.5, 1.5, (len(self._states), variables))
         self._unit = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
         self._widths = np.array([base.widths[symbol] for symbol in (*self._parameters, *self._slopes)])
         self._directions = self._unit * self._widths
@@ -154,8 +162,23 @@ class Jet:
         for (kind, name), column in self._columns.free.items():
             first[kind][name] = column
         parameters = self._parameters[: self._lasting]
-        constants = len(self._question.sought)
-        return LinearSystem(matrix, self.germs, constants, first["start"], parameters, first["own"], self._base.certain)
+        constants, made_up = len(self._question.sought), slice(self._probes, self._probes + len(self._states))
+        probes = matrix[:, made_up].copy()
+        matrix[:, made_up] = 0.0
+        begun, own, sizes = first["start"], first["own"], self._sizes()
+        return LinearSystem(matrix, self.germs, constants, begun, parameters, own, sizes, probes, self._base.certain)
+
+    def _sizes(self) -> Array:
+        """The natural sizes of what the columns change: 1 for coefficients of germs, which are of that size."""
+        base, question = self._base, self._question
+        sizes = np.ones(self._columns.count)
+        sizes[: len(question.sought)] = [abs(base.constants[k.symbol]) or 1.0 for k in question.sought]
+        count = len(monomials(self._lasting, self._algebra.order))
+        of = {"start": {s.name: base.widths[s.symbol] for s in question.model.states}}
+        of["own"] = {k.name: abs(base.constants[k.symbol]) for k in question.own}
+        for (kind, name), column in self._columns.free.items():
+            sizes[column : column + count] = of[kind][name] or 1.0
+        return sizes
 
     def _start_values(self) -> dict[sympy.Symbol, Array]:
         algebra, model = self._algebra, self._question.model
@@ -274,17 +297,39 @@ class Jet:
         changes = {i: starts[i] for i in question.hidden}
         networks = self._network_changes(evaluation, changes)
         for _ in range(algebra.time_order if question.hidden else 0):
-            rates = {i: self._change(question.rates[i], evaluation, changes, networks) for i in question.hidden}
+            rates = {i: self._rate_change(i, evaluation, changes, networks) for i in question.hidden}
             changes = {i: self._sum(starts[i], self._integral(rates[i])) for i in question.hidden}
             networks = self._network_changes(evaluation, changes)
         for i in sorted(question.known):
-            change = self._change(question.rates[i], evaluation, changes, networks)
+            change = self._rate_change(i, evaluation, changes, networks)
             yield self._flat(change * (self._base.tempo / self._base.widths[self._states[i]]))
             if question.starts[i] is not None or question.doses:
                 yield self._flat(starts[i] / self._base.widths[self._states[i]])
         for output in question.outputs:
             scale = float(np.max(np.abs(evaluation(output)))) or 1.0
             yield self._flat(self._change(output, evaluation, changes, networks) / scale)
+
+    def _rate_change(
+        self, i: int, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]
+    ) -> Array:
+        """The change of a state's rate, with that by a made-up term."""
+        change = self._change(self._question.rates[i], evaluation, changes, networks)
+        if i in self._question.probed:
+            if i not in self._made:
+                self._made[i] = self._made_up(i, evaluation)
+            change[self._probes + i] += self._made[i]
+        return change
+
+    def _made_up(self, i: int, evaluation: Evaluation) -> Array:
+        """A term that could stand in the rate of state i, as a series of its size: e to a random linear form."""
+        base, algebra = self._base, self._algebra
+        form = algebra.constant(np.zeros(self._lines))
+        symbols = [*self._states, *(c.symbol for c in self._question.model.conditions)]
+        for symbol, factor in zip(symbols, self._factors[i], strict=True):
+            series = evaluation(symbol)
+            if base.widths[symbol] > 0:
+                form = form + (factor / base.widths[symbol]) * (series - algebra.constant(series[:, 0]))
+        return np.asarray((base.widths[self._states[i]] or 1.0) / base.tempo * algebra.exp(form))
 
     @staticmethod
     def _flat(change: Array) -> Array:

@@ -98,6 +98,17 @@ class Question:
         """Inputs and amounts of doses, which may differ at one state: no start and no constant depends on them."""
         return frozenset((*(i.symbol for i in self.model.inputs), *(d.amount for d in self.doses)))
 
+    @cached_property
+    def probed(self) -> frozenset[int]:
+        """The states whose rate has no unknown function of all states and conditions.
+
+        Such a function compensates whatever may stand beside it, however many derivatives are known.
+        """
+        model = self.model
+        every = {s.symbol for s in model.states} | {c.symbol for c in model.conditions}
+        free = {a.value for a in self.applications if every <= {s for e in a.arguments for s in e.free_symbols}}
+        return frozenset(i for i, rate in enumerate(self.rates) if not rate.free_symbols & free)
+
     @property
     def uses_time(self) -> bool:
         """Whether the time occurs in any expression."""
