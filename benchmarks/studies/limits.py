@@ -273,7 +273,7 @@ population its medians.
 
 Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not
 offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export
-to C and ONNX (GB808). Its identifiability is undecided. Second derivatives through the time of an event are not
+to ONNX (GB808). Its identifiability is undecided. Second derivatives through the time of an event are not
 computed. Unknown functions in conditions, resets and times of events are fitted by the torch graph, much more slowly
 than by the kernel.
 

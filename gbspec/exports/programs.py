@@ -48,7 +48,7 @@ class Programs:
         if model.delays:
             raise NotCoveredError("it has delays, for which an exported program would have to keep its past")
         if model.events and not events:
-            raise NotCoveredError("it has events, which only functional mock-up units carry out yet")
+            raise NotCoveredError("it has events, which graphs of operations cannot carry out")
         if model.algebraics and not algebraics:
             raise NotCoveredError("it has algebraic variables, for which graphs of operations can seek no solution")
         if model.steady is not None:

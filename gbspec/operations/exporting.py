@@ -140,23 +140,25 @@ def _refused(form: str, model: str, reason: str) -> Diagnostic:
 
 
 def example(source: Subject, exported: Exported) -> Example:
-    """One trajectory of `gbspec simulate`, or from the initial values if that fails."""
+    """One trajectory of `gbspec simulate`, a shorter one if that fails, or from the initial values."""
     from gbspec.analysis import true_starts
     from gbspec.data import fixed
     from gbspec.exports import Example, plain
 
-    options = _options(source, exported)
-    try:
-        held = fixed(options, source.values, source.model)
-        starts = true_starts(source.evaluator, source.model, held)
-        (item,) = tables.simulate(source, options).items
-    except (ComputationError, UserError):
-        return plain(exported)
-    command = _command(exported, options)
-    return Example(starts[0], item.start, item.times, item.condition, item.inputs, item.doses, command)
+    for share in (1.0, 0.5, 0.25):
+        options = _options(source, exported, share * SPAN)
+        try:
+            held = fixed(options, source.values, source.model)
+            starts = true_starts(source.evaluator, source.model, held)
+            (item,) = tables.simulate(source, options).items
+        except (ComputationError, UserError):
+            continue
+        command = _command(exported, options)
+        return Example(starts[0], item.start, item.times, item.condition, item.inputs, item.doses, command)
+    return plain(exported)
 
 
-def _options(source: Subject, exported: Exported) -> SimulateOptions:
+def _options(source: Subject, exported: Exported, span: float = SPAN) -> SimulateOptions:
     """The options of the trajectory: values for everything that has no range, and a dose of 1 into each dosed state."""
     from gbspec.data import SimulateOptions
 
@@ -174,7 +176,7 @@ def _options(source: Subject, exported: Exported) -> SimulateOptions:
         if default is None and not _bounded(range):
             external[name] = (float(value), float(value))
     doses = {dose.state: f"1@{exported.start:g}" for dose in model.doses}
-    return SimulateOptions(1, SPAN, INTERVAL, initial=initial, condition=external, dose=doses)
+    return SimulateOptions(1, span, INTERVAL, initial=initial, condition=external, dose=doses)
 
 
 def _bounded(range: Range | None) -> bool:
@@ -184,6 +186,7 @@ def _bounded(range: Range | None) -> bool:
 def _command(exported: Exported, options: SimulateOptions) -> str:
     """The command that simulates the same trajectory."""
     parts = ["gbspec", "simulate", exported.source, "-o", "table.csv", "--trajectories", "1"]
+    parts += ["--span", f"{options.span:g}"] if options.span != SPAN else []
     for flag, boxes in (("--initial", options.initial), ("--condition", options.condition)):
         for name, (low, _) in boxes.items():
             parts += [flag, f"{name}={low!r}"]

@@ -15,8 +15,9 @@ from gbspec.exports.checking import Reference, draw
 from gbspec.exports.onnx import make as make_onnx
 from gbspec.exports.programs import NotCoveredError, Programs
 from gbspec.frontend import load_model
+from gbspec.operations import models
 from tests.algebraic.models import ARRAY, BUFFER, TWO_ROOTS, UNKNOWN
-from tests.exports.test_c import COMPILER, agree
+from tests.exports.test_c import COMPILER, agree, simulated_by_c
 from tests.exports.test_fmu import VERSIONS, Version, begin, fmpy, opened, problems, unit
 from tests.exports.texts import exported, model_of
 
@@ -51,6 +52,7 @@ def test_the_library_solves_equations(text: str, tmp_path: Path) -> None:
 
 def test_the_bundled_model(tmp_path: Path) -> None:
     agree(bundled(), tmp_path)
+    simulated_by_c(models.subject("buffered_tank", {}, Findings()), tmp_path / "library")
 
 
 def test_the_branch_is_that_of_the_module(tmp_path: Path) -> None:

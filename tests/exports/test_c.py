@@ -113,32 +113,37 @@ def test_wrong_times_are_refused_and_infinite_states_reported(tmp_path: Path) ->
     assert np.isnan(states).all()
 
 
-def test_the_library_has_no_state_and_no_memory_errors(tmp_path: Path) -> None:
-    """The program under the sanitizers prints the table of `gbspec simulate`."""
-    model = tmp_path / "dosed.gb"
-    truth = "truth ka = 1.5\ntruth loss(central, depot) = 0.8*central/(1 + central)\n"
-    model.write_text(DOSED + truth, encoding="utf-8")
+def simulated_by_c(subject: models.Subject, folder: Path, accepted: float = 1e-8) -> None:
+    """Exports a subject; its program under the sanitizers prints the table of `gbspec simulate`."""
     findings = Findings()
-    subject = models.subject(model, {}, findings)
-    made = exporting.export(subject, tmp_path / "library", "c", ExportOptions(), findings, str(model))
-    assert not list(findings) and max(made.checked.values()) < 1e-13
-    folder = tmp_path / "library"
+    made = exporting.export(subject, folder, "c", ExportOptions(), findings, subject.model.name)
+    assert not list(findings) and max(made.checked.values()) < 1e-10
+    assert {q for q, error in made.checked.items() if error > 1e-13} <= {"steps", "channels along steps"}
     command = [str(COMPILER), "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-g"]
-    command += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "dosed.c", "main.c", "-lm", "-o", "main"]
+    command += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"{subject.model.name}.c", "main.c"]
+    command += ["-lm", "-o", "main"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if "sanitize" in done.stderr or "asan" in done.stderr:
         pytest.skip("the compiler has no sanitizers")
     assert done.returncode == 0, done.stderr
     printed = subprocess.run([folder / "main"], capture_output=True, text=True, check=True).stdout
     rows = list(csv.DictReader(printed.splitlines()))
-    simulated = exporting.example(subject, Exported(subject.model, subject.evaluator.instance, str(model)))
-    table = exporting.tables.simulate(
-        subject, exporting._options(subject, Exported(subject.model, subject.evaluator.instance, ""))
-    )
-    assert len(rows) == len(simulated.times)
-    for row, time, value in zip(rows, simulated.times, table.items[0].values[:, 0], strict=True):
-        assert float(row["t"]) == time
-        assert float(row["central"]) == pytest.approx(value, rel=1e-8)
+    known = exporting.example(subject, Exported(subject.model, subject.evaluator.instance, ""))
+    assert known.command, "there is a command that simulates the same"
+    span = float(known.times[-1]) - known.start
+    options = exporting._options(subject, Exported(subject.model, subject.evaluator.instance, ""), span)
+    (item,) = exporting.tables.simulate(subject, options).items
+    names = [channel.name for channel in subject.model.channels]
+    found = np.array([[float(row[name]) for name in names] for row in rows])
+    assert [float(row[subject.model.time.name]) for row in rows] == known.times.tolist()
+    assert (np.abs(found - item.values) <= accepted * np.abs(item.values).max(axis=0)).all()
+
+
+def test_the_library_has_no_state_and_no_memory_errors(tmp_path: Path) -> None:
+    model = tmp_path / "dosed.gb"
+    truth = "truth ka = 1.5\ntruth loss(central, depot) = 0.8*central/(1 + central)\n"
+    model.write_text(DOSED + truth, encoding="utf-8")
+    simulated_by_c(models.subject(model, {}, Findings()), tmp_path / "library")
 
 
 def test_the_archive_and_what_it_carries(tmp_path: Path) -> None:

@@ -83,7 +83,11 @@ class Compiled:
             _of(p), ctypes.c_double(course.start), _of(x0), inputs, doses, ctypes.c_int(count), _of(times),
             ctypes.c_double(course.max_step), _of(states), _of(channels),
         )  # fmt: skip
-        return (states, channels) if status != 1 else (np.full_like(states, np.nan), np.full_like(channels, np.nan))
+        return (
+            (states, channels)
+            if status not in (1, 3)
+            else (np.full_like(states, np.nan), np.full_like(channels, np.nan))
+        )
 
 
 def _of(array: Array) -> DoublePointer:

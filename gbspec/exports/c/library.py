@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
 
@@ -27,7 +27,7 @@ class Library:
 
     def __init__(self, exported: Exported, programs: Programs | None = None) -> None:
         self.exported, self.model = exported, exported.model
-        self.programs = programs or Programs(exported.model, algebraics=True)
+        self.programs = programs or Programs(exported.model, events=True, algebraics=True)
         self.names = CNames(exported.model)
         self.prefix = self.names.prefix
 
@@ -45,6 +45,7 @@ class Library:
             "ALGEBRAICS": len(model.algebraics),
             "SWITCHES": len(self.programs.switches.outputs),
             "NODES": len(self.exported.method.nodes),
+            **({"GUARDS": len(self.programs.conditional), "TIMED": len(self.programs.timed)} if model.events else {}),
         }
 
     def header(self) -> str:
@@ -71,9 +72,9 @@ class Library:
         lines += ["    double unused; /* a struct needs a member */"] * (not given)
         lines += [f"}} {p}_parameters;", "", *_text("header.h").replace("PREFIX", p).splitlines()]
         if model.algebraics:
-            lines += _text("algebraic.h").replace("PREFIX", p).splitlines()
+            lines += self._sized(_text("algebraic.h")).splitlines()
         if model.events:
-            lines += _text("events.h").replace("PREFIX", p).splitlines()
+            lines += self._sized(_text("events.h")).splitlines()
         for name, arguments in self._unknowns():
             lines += [f"double {name}(const {p}_parameters *p, {arguments});", ""]
         return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "#endif", ""])
@@ -113,7 +114,9 @@ class Library:
             head = f"void {self.prefix}_{name}_along({ALONG.format(self.prefix)}, double *out)"
             body += function(head, lines, unused(["p", "t", "x", "u", "dp", "dt", "dx", "du", "out"], lines))
         body += [*self._outside(), *self._dose(), *self._events(), *self._called(), *self._step()]
-        body += _text("simulate.c").replace("PREFIX_parameters", f"{self.prefix}_parameters").splitlines()
+        parts = {"EVENTS": bool(model.events)}
+        body += _text("guards.c").splitlines() * parts["EVENTS"]
+        body += _chosen(_text("simulate.c"), parts)
         text = "\n".join(body)
         text = self._sized(text)
         opening = [*self._opening(), f'#include "{self.prefix}.h"', "", "#include <math.h>", "#include <stddef.h>", ""]
@@ -268,7 +271,26 @@ class Library:
         lines += table("int", "LINEAR", linear)
         places = [str(model.state_index[dose.state]) for dose in model.doses] or ["0"]
         lines += [*table("int", "DOSE_STATE", places), f"enum {{ STAGES = {stages} }};", ""]
-        return [*lines, *_text("step.c").splitlines()]
+        armed = [str(int(event.armed)) for event in self.programs.conditional] or ["0"]
+        lines += table("int", "ARMED", armed) if model.events else []
+        return [*lines, *_text("step.c").splitlines(), ""]
+
+
+def _chosen(text: str, parts: Mapping[str, bool]) -> list[str]:
+    """The lines of a text without those between `#if` and `#endif`, or `#else`, of parts that a model does not have."""
+    kept, inside = list[str](), [True]
+    for line in text.splitlines():
+        word, _, part = line.partition(" ")
+        match word:
+            case "#if":
+                inside.append(parts[part])
+            case "#else":
+                inside[-1] = not inside[-1]
+            case "#endif":
+                inside.pop()
+            case _:
+                kept += [line] * all(inside)
+    return kept
 
 
 @cache

@@ -30,6 +30,12 @@ OWN = frozenset(
         "timing",
         "happen",
         "algebraic",
+        "move",
+        "events",
+        "arm",
+        "due",
+        "carry_out",
+        "cut",
     ]
 )
 """What follows the prefix in names of the library itself."""

@@ -32,87 +32,124 @@ static double arrival(double time, double start, int count, const double *times)
     return fabs(best - time) <= 1e-9 * size ? best : time;
 }
 
-/* The end of the piece that begins at t: the next change of an input, dose or, at the latest, `end`. */
-static double next_cut(const PREFIX_course *inputs, const PREFIX_course *doses, const double *lag, double t, double start,
-                       int count, const double *times) {
-    double next = times[count - 1];
+/* A trajectory that is simulated: its outputs, and what changes on the way. */
+typedef struct {
+    const PREFIX_parameters *p;
+    const PREFIX_course *inputs, *doses;
+    const double *times;
+    double start, max_step, fraction[PREFIX_DOSES + 1], lag[PREFIX_DOSES + 1];
+    int count;
+#if EVENTS
+    PREFIX_events events;
+#endif
+} trajectory;
+
+/* When dose k of a kind arrives. */
+static double dose_time(const trajectory *r, int kind, int k) {
+    return arrival(r->doses[kind].times[k] + r->lag[kind], r->start, r->count, r->times);
+}
+
+#if EVENTS
+/* When an event at given times happens: like a dose it follows an output. */
+static double event_time(const trajectory *r, int event) {
+    const double at = PREFIX_due(r->p, &r->events, event);
+    return at < HUGE_VAL ? arrival(at, r->start, r->count, r->times) : at;
+}
+
+#endif
+/* The end of the piece that begins at t: where an input changes, a dose arrives, an event has its time; the last output. */
+static double next_cut(const trajectory *r, double t) {
+    double next = r->times[r->count - 1];
     int j, k;
     for (j = 0; j < PREFIX_INPUTS; j++)
-        for (k = 0; k < inputs[j].count; k++)
-            if (inputs[j].times[k] > t && inputs[j].times[k] < next) next = inputs[j].times[k];
-    for (j = 0; doses && j < PREFIX_DOSES; j++)
-        for (k = 0; k < doses[j].count; k++) {
-            const double at = arrival(doses[j].times[k] + lag[j], start, count, times);
-            if (at > t && at < next) next = at;
-        }
+        for (k = 0; k < r->inputs[j].count; k++)
+            if (r->inputs[j].times[k] > t && r->inputs[j].times[k] < next) next = r->inputs[j].times[k];
+    for (j = 0; r->doses && j < PREFIX_DOSES; j++)
+        for (k = 0; k < r->doses[j].count; k++)
+            if (dose_time(r, j, k) > t && dose_time(r, j, k) < next) next = dose_time(r, j, k);
+#if EVENTS
+    for (j = 0; j < PREFIX_TIMED; j++)
+        if (event_time(r, j) > t && event_time(r, j) < next) next = event_time(r, j);
+#endif
     return next;
 }
 
-/* Adds the doses that arrive at the beginning t of a piece. */
-static void give(const PREFIX_course *doses, const double *fraction, const double *lag, double t, double start, int count,
-                 const double *times, double *x) {
+/* What happens at the beginning t of a piece: doses, and then events. Returns 0, or 1 if these have no end. */
+static int happening(trajectory *r, double t, const double *u, double *x) {
     int j, k;
-    for (j = 0; doses && j < PREFIX_DOSES; j++)
-        for (k = 0; k < doses[j].count; k++)
-            if (arrival(doses[j].times[k] + lag[j], start, count, times) == t)
-                x[DOSE_STATE[j]] += doses[j].values[k] * fraction[j];
+    for (j = 0; r->doses && j < PREFIX_DOSES; j++)
+        for (k = 0; k < r->doses[j].count; k++)
+            if (dose_time(r, j, k) == t) x[DOSE_STATE[j]] += r->doses[j].values[k] * r->fraction[j];
+#if EVENTS
+    for (j = 0; j < PREFIX_TIMED; j++)
+        if (event_time(r, j) == t) r->events.pending[j] = 1;
+    return PREFIX_carry_out(r->p, t, u, x, &r->events) < 0;
+#else
+    (void)u;
+    return 0;
+#endif
 }
 
-/* Equal steps of at most `max_step` from `from` to `to` within a piece that begins at `begin`. */
-static void advance(const PREFIX_parameters *p, const double *value, const double *slope, double begin, double from, double to,
-                    double max_step, double *x) {
-    const double wanted = ceil((to - from) / max_step - 1e-9);
+/* Equal steps from `from` to `to` within a piece that begins at `begin`. Returns 0, or 1 if events have no end. */
+static int advance(trajectory *r, const double *value, const double *slope, double begin, double from, double to, double *x) {
+    const double wanted = ceil((to - from) / r->max_step - 1e-9);
     const long steps = wanted > 1.0 ? (long)wanted : 1;
     const double h = (to - from) / (double)steps;
-    double u[PREFIX_NODES * PREFIX_INPUTS + 1];
     long i;
-    int q, j;
     for (i = 0; i < steps; i++) {
-        const double t = from + (double)i * h;
-        for (q = 0; q < PREFIX_NODES; q++)
-            for (j = 0; j < PREFIX_INPUTS; j++)
-                u[q * PREFIX_INPUTS + j] = value[j] + slope[j] * (t + NODE[q] * h - begin);
-        PREFIX_step(p, t, h, u, x);
+#if EVENTS
+        if (PREFIX_cut(r->p, begin, value, slope, from + (double)i * h, h, x, &r->events)) return 1;
+#else
+        PREFIX_move(r->p, begin, value, slope, from + (double)i * h, h, x);
+#endif
     }
+    return 0;
 }
 
 /* 1: a call with wrong arguments. */
-static int wrong(double start, const PREFIX_course *inputs, int count, const double *times, double max_step) {
+static int wrong(const trajectory *r) {
     int i;
-    if (count < 1 || !(max_step > 0.0) || times[0] < start) return 1;
-    for (i = 1; i < count; i++)
-        if (!(times[i] > times[i - 1])) return 1;
+    if (r->count < 1 || !(r->max_step > 0.0) || r->times[0] < r->start) return 1;
+    for (i = 1; i < r->count; i++)
+        if (!(r->times[i] > r->times[i - 1])) return 1;
     for (i = 0; i < PREFIX_INPUTS; i++)
-        if (inputs[i].count < 1) return 1;
+        if (r->inputs[i].count < 1) return 1;
     return 0;
 }
 
 int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, const PREFIX_course *inputs,
                     const PREFIX_course *doses, int count, const double *times, double max_step, double *states,
                     double *channels) {
-    double x[PREFIX_STATES], u[PREFIX_INPUTS + 1], value[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1];
-    double fraction[PREFIX_DOSES + 1], lag[PREFIX_DOSES + 1], ignored, t = start;
+    double x[PREFIX_STATES], value[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1], begin = start, t = start, cut, to;
+    trajectory r;
     int next = 0, i;
-    if (wrong(start, inputs, count, times, max_step)) return 1;
+    r.p = p, r.inputs = inputs, r.doses = doses, r.times = times;
+    r.start = start, r.max_step = max_step, r.count = count;
+    if (wrong(&r)) return 1;
     for (i = 0; i < PREFIX_STATES; i++) x[i] = x0[i];
     PREFIX_initial(p, x);
-    PREFIX_doses(p, fraction, lag);
-    for (;;) {
-        const double begin = t, cut = next_cut(inputs, doses, lag, t, start, count, times);
-        for (i = 0; i < PREFIX_INPUTS; i++) value[i] = course(&inputs[i], LINEAR[i], t, &slope[i]);
-        for (;;) { /* outputs at and within this piece */
-            if (next < count && times[next] == t) {
-                for (i = 0; i < PREFIX_INPUTS; i++) u[i] = course(&inputs[i], LINEAR[i], t, &ignored);
-                for (i = 0; states && i < PREFIX_STATES; i++) states[next * PREFIX_STATES + i] = x[i];
-                if (channels) PREFIX_observe(p, t, x, u, channels + next * PREFIX_CHANNELS);
-                next++;
-            }
-            if (t == begin) give(doses, fraction, lag, t, start, count, times, x);
-            if (next == count || t == cut) break;
-            advance(p, value, slope, begin, t, times[next] < cut ? times[next] : cut, max_step, x);
-            t = times[next] < cut ? times[next] : cut;
+    PREFIX_doses(p, r.fraction, r.lag);
+    for (cut = start;;) {
+        if (t == cut) /* inputs are those after their changes */
+            for (i = 0; i < PREFIX_INPUTS; i++) value[i] = course(&inputs[i], LINEAR[i], t, &slope[i]);
+#if EVENTS
+        if (t == start) PREFIX_arm(p, t, x, value, &r.events);
+#endif
+        if (times[next] == t) {
+            double u[PREFIX_INPUTS + 1], ignored;
+            for (i = 0; i < PREFIX_INPUTS; i++) u[i] = course(&inputs[i], LINEAR[i], t, &ignored);
+            for (i = 0; states && i < PREFIX_STATES; i++) states[next * PREFIX_STATES + i] = x[i];
+            if (channels) PREFIX_observe(p, t, x, u, channels + next * PREFIX_CHANNELS);
+            if (++next == count) break;
         }
-        if (next == count) break;
+        if (t == cut) {
+            if (happening(&r, t, value, x)) return 3;
+            begin = t;
+            cut = next_cut(&r, t);
+        }
+        to = times[next] < cut ? times[next] : cut;
+        if (advance(&r, value, slope, begin, t, to, x)) return 3;
+        t = to;
     }
     for (i = 0; i < PREFIX_STATES; i++)
         if (!isfinite(x[i])) return 2;

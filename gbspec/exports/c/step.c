@@ -19,3 +19,12 @@ void PREFIX_step(const PREFIX_parameters *p, double t, double h, const double *u
     }
 }
 
+void PREFIX_move(const PREFIX_parameters *p, double begin, const double *value, const double *slope, double t, double h,
+                 double *x) {
+    double u[PREFIX_NODES * PREFIX_INPUTS + 1];
+    int q, j;
+    for (q = 0; q < PREFIX_NODES; q++)
+        for (j = 0; j < PREFIX_INPUTS; j++)
+            u[q * PREFIX_INPUTS + j] = value[j] + slope[j] * (t + NODE[q] * h - begin);
+    PREFIX_step(p, t, h, u, x);
+}

@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from gbspec.data import DoseEvents, Signal
+from gbspec.diagnostics import ComputationError
 from gbspec.exports.c.calling import Compiled
 from gbspec.exports.c.library import Library
-from gbspec.exports.checking import Course, Quantity, Reference, compare, draw
+from gbspec.exports.checking import Course, Points, Quantity, Reference, compare, draw, own
 from gbspec.exports.compiling import shared_library
 
 POINTS = 12
 ACCEPTED, ACCEPTED_SLOPES, ACCEPTED_STEPS = 1e-11, 1e-11, 1e-10
+ACCEPTED_EVENTS = 1e-7
+SHORT = 0.02
+"""The largest step with events, in the time in which a state changes by as much as it is."""
 SPAN, STEPS = 0.05, 7
 FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared")
 
@@ -50,23 +54,43 @@ def errors(compiled: Compiled, library: Library, count: int = POINTS, seed: int 
         ("observe", "derivatives of the channels", known.observe_along),
     ):
         found.append(compare(word, compiled.along(name, points, pair[0].shape[1]), pair, ACCEPTED_SLOPES))
-    if library.model.events:  # the library has no steps with events: the unit takes them
-        return found
-    path = course(library)
+    return found + (
+        _with_events(compiled) if library.model.events else _steps(compiled, points, known, course(library))
+    )
+
+
+def _steps(
+    compiled: Compiled, points: Points, known: Reference, path: Course, accepted: float = ACCEPTED_STEPS
+) -> list[Quantity]:
+    """The errors of states and channels along a course from the first point."""
     states = known.trajectory(path)
     got, channels = compiled.simulate(points, path)
     sizes = np.abs(states).max(axis=0, keepdims=True) + np.abs(states)
-    found.append(compare("steps", got, (states, sizes), ACCEPTED_STEPS))
     expected = known.channels(path, states)
     large = np.abs(expected).max(axis=0, keepdims=True) if len(expected) else expected
-    found.append(compare("channels along steps", channels, (expected, np.abs(expected) + large), ACCEPTED_STEPS))
-    return found
+    return [
+        compare("steps", got, (states, sizes), accepted),
+        compare("channels along steps", channels, (expected, np.abs(expected) + large), accepted),
+    ]
 
 
-def course(library: Library) -> Course:
+def _with_events(compiled: Compiled) -> list[Quantity]:
+    """The same with events, from the model's own state: the module's steps are adaptive there, so that those of the
+    library are taken so short that their errors do not count. Nothing where the module finds no solution."""
+    library = compiled.library
+    points = own(library.exported)
+    known = Reference(library.exported, library.programs, points)
+    short = float(known.sizes_of_steps((library.exported.step or 0.01) / SHORT)[0]) * SHORT
+    try:
+        return _steps(compiled, points, known, course(library, short), ACCEPTED_EVENTS)
+    except ComputationError:
+        return []
+
+
+def course(library: Library, step: float | None = None) -> Course:
     """A short course with changes of every input and doses of every kind, at places where no step begins by chance."""
     exported, model = library.exported, library.model
-    step = exported.step or 0.01
+    step = step or exported.step or 0.01
     span = STEPS * step
     start = exported.start
     times = start + span * np.array([0.0, 0.31, 0.5, 1.0])

@@ -57,6 +57,14 @@ def draw(exported: Exported, count: int, seed: int = 0, spread: float = SPREAD) 
     return Points(t, drawn[0], drawn[1], drawn[2], own, along)
 
 
+def own(exported: Exported) -> Points:
+    """The point at which the model starts, with its own values."""
+    values = (exported.states, exported.conditions, exported.inputs, exported.constants)
+    x, condition, inputs, constants = (np.array(value, dtype=np.float64)[None] for value in values)
+    still = (np.zeros(1), 0 * x, 0 * condition, 0 * inputs, 0 * constants)
+    return Points(np.array([exported.start]), x, condition, inputs, constants, still)
+
+
 def _boxes(items: Sequence[State | Condition | Input], values: Array) -> Array:
     out = []
     for item, value in zip(items, values, strict=True):

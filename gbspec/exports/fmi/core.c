@@ -92,10 +92,6 @@ static double arrival(const gb_memory *m, int dose) {
     return r[1] + m->given[dose] * r[2] + lag[dose];
 }
 
-#if GB_GUARDS + GB_TIMED > 0
-static void arm(gb_memory *m);
-#endif
-
 static int before(double a, double b) {
     const double size = fabs(a) > fabs(b) ? fabs(a) : fabs(b);
     return a < b - ROUNDING * size;
@@ -117,7 +113,7 @@ void gb_exit_initialization(gb_instance *g) {
         while (before(arrival(m, i), m->time)) m->given[i] += 1.0;
     }
 #if GB_GUARDS + GB_TIMED > 0
-    arm(m);
+    PREFIX_arm(&m->p, m->time, m->x, m->u, &m->events);
 #endif
     m->mode = GB_RUNNING;
     g->fresh = 0;
@@ -139,87 +135,6 @@ static int give(gb_instance *g) {
     return given;
 }
 
-#if GB_GUARDS + GB_TIMED > 0
-#define EVENTS (GB_TIMED + GB_GUARDS)
-#define CASCADE 100 /* most events at one time */
-#define SHARE 1e-10 /* the band of a guard, relative to its size at the start */
-
-/* The next time of a timed event; infinite after its last one. */
-static double due(const gb_memory *m, int event) {
-    double timing[3 * GB_TIMED + 1], at;
-    PREFIX_timing(&m->p, timing);
-    at = timing[3 * event];
-    if (at != at) at = m->start;
-    if (timing[3 * event + 1] > 0.0) at += m->turn[event] * timing[3 * event + 1];
-    else if (m->turn[event] > 0.0) return HUGE_VAL;
-    return before(timing[3 * event + 2], at) ? HUGE_VAL : at;
-}
-
-/* Conditions at the start; those of armed events that are true make them happen. Times before it have passed. */
-static void arm(gb_memory *m) {
-    double guard[GB_GUARDS + 1];
-    int i;
-    m->start = m->time;
-    PREFIX_guards(&m->p, m->time, m->x, m->u, guard);
-    for (i = 0; i < GB_GUARDS; i++) {
-        m->on[i] = guard[i] >= 0.0 && !GB_ARMED[i];
-        m->band[i] = SHARE * (fabs(guard[i]) < HUGE_VAL ? fabs(guard[i]) + 1e-3 : 1.0);
-    }
-    for (i = 0; i < GB_TIMED; i++) {
-        m->turn[i] = 0.0;
-        while (before(due(m, i), m->time)) m->turn[i] += 1.0;
-    }
-}
-
-/* Conditions that are true no longer; events whose conditions became true, or whose time has come, are pending. */
-static int notice(gb_memory *m) {
-    double guard[GB_GUARDS + 1];
-    int i, found = 0;
-    for (i = 0; i < GB_TIMED; i++) {
-        if (due(m, i) < HUGE_VAL && !before(m->time, due(m, i))) m->pending[i] = 1;
-        found = found || m->pending[i];
-    }
-    PREFIX_guards(&m->p, m->time, m->x, m->u, guard);
-    for (i = 0; i < GB_GUARDS; i++) {
-        if (guard[i] >= 0.0 && !m->on[i]) m->pending[GB_TIMED + i] = 1;
-        if (!(guard[i] >= 0.0)) m->on[i] = 0;
-        found = found || m->pending[GB_TIMED + i];
-    }
-    return found;
-}
-
-/* The pending event that comes first: timed ones, then by priority, then as they are written. */
-static int chosen(const gb_memory *m) {
-    double rank[EVENTS];
-    int i, best = -1;
-    PREFIX_ranks(&m->p, m->time, m->x, m->u, rank);
-    for (i = 0; i < EVENTS; i++)
-        if (m->pending[i] && (best < 0 || ((i < GB_TIMED) == (best < GB_TIMED) && rank[i] > rank[best]))) best = i;
-    return best;
-}
-
-/* What happens now, and what that causes. */
-static int happen(gb_instance *g) {
-    gb_memory *m = &g->memory;
-    double after[PREFIX_STATES];
-    int count = 0, event;
-    while (notice(m)) {
-        event = chosen(m);
-        if (++count > CASCADE) {
-            g->endless = 1;
-            return 1;
-        }
-        PREFIX_happen(&m->p, m->time, m->x, m->u, event, after);
-        memcpy(m->x, after, sizeof after);
-        m->pending[event] = 0;
-        if (event < GB_TIMED) m->turn[event] += 1.0;
-        else m->on[event - GB_TIMED] = 1; /* it happens again once its condition was false */
-    }
-    if (count) g->fresh = 0;
-    return count > 0;
-}
-#endif
-
 int gb_next_event(const gb_instance *g, double *time) {
     double next = HUGE_VAL;
     int i;
@@ -227,7 +142,7 @@ int gb_next_event(const gb_instance *g, double *time) {
         if (arrival(&g->memory, i) < next) next = arrival(&g->memory, i);
 #if GB_TIMED > 0
     for (i = 0; i < GB_TIMED; i++)
-        if (due(&g->memory, i) < next) next = due(&g->memory, i);
+        if (PREFIX_due(&g->memory.p, &g->memory.events, i) < next) next = PREFIX_due(&g->memory.p, &g->memory.events, i);
 #endif
     *time = next;
     return next < HUGE_VAL;
@@ -236,7 +151,10 @@ int gb_next_event(const gb_instance *g, double *time) {
 int gb_update(gb_instance *g) {
     int changed = give(g);
 #if GB_GUARDS + GB_TIMED > 0
-    changed = happen(g) || changed;
+    gb_memory *m = &g->memory;
+    const int happened = PREFIX_carry_out(&m->p, m->time, m->u, m->x, &m->events);
+    g->endless = g->endless || happened < 0;
+    if (happened) g->fresh = 0, changed = 1;
 #endif
     return changed;
 }
@@ -250,101 +168,27 @@ void gb_indicators(const gb_instance *g, double *z) {
     {
         int i;
         PREFIX_guards(&m->p, m->time, m->x, m->u, z + PREFIX_SWITCHES);
-        for (i = 0; i < GB_GUARDS; i++) z[PREFIX_SWITCHES + i] += m->on[i] ? m->band[i] : -m->band[i];
+        for (i = 0; i < GB_GUARDS; i++) z[PREFIX_SWITCHES + i] += m->events.on[i] ? m->events.band[i] : -m->events.band[i];
     }
 #endif
 }
 
-/* One step of the model's method; inputs are those at `start` and change by their slopes. */
-static void step(const gb_memory *m, double start, double t, double h, double *x) {
-    double u[PREFIX_NODES * PREFIX_INPUTS + 1];
-    int q, j;
-    for (q = 0; q < PREFIX_NODES; q++)
-        for (j = 0; j < PREFIX_INPUTS; j++)
-            u[q * PREFIX_INPUTS + j] = m->u[j] + m->slope[j] * (t + GB_NODE[q] * h - start);
-    PREFIX_step(&m->p, t, h, u, x);
-}
-
-#if GB_GUARDS > 0
-/* The state a part of a step later, and whether a condition became true by then that was false. */
-static int reached(const gb_memory *m, double start, double t, double part, double *x) {
-    double guard[GB_GUARDS], u[PREFIX_INPUTS + 1];
-    int i;
-    memcpy(x, m->x, sizeof m->x);
-    step(m, start, t, part, x);
-    for (i = 0; i < PREFIX_INPUTS; i++) u[i] = m->u[i] + m->slope[i] * (t + part - start);
-    PREFIX_guards(&m->p, t + part, x, u, guard);
-    for (i = 0; i < GB_GUARDS; i++)
-        if (!m->on[i] && guard[i] >= 0.0) return 1;
-    return 0;
-}
-
-/* Conditions that became false by a part of a step. */
-static void released(gb_memory *m, double start, double t, double part) {
-    double guard[GB_GUARDS], u[PREFIX_INPUTS + 1], x[PREFIX_STATES];
-    int i;
-    memcpy(x, m->x, sizeof m->x);
-    step(m, start, t, part, x);
-    for (i = 0; i < PREFIX_INPUTS; i++) u[i] = m->u[i] + m->slope[i] * (t + part - start);
-    PREFIX_guards(&m->p, t + part, x, u, guard);
-    for (i = 0; i < GB_GUARDS; i++)
-        if (!(guard[i] >= 0.0)) m->on[i] = 0;
-}
-#endif
-
-/* One step of length h, cut where events happen. */
-static int cut(gb_instance *g, double start, double t, double h) {
-    gb_memory *m = &g->memory;
-#if GB_GUARDS > 0
-    double x[PREFIX_STATES], low, high, middle;
-    int half, found, count = 0;
-    while (h > 0.0) {
-        found = 0;
-        for (half = 1; half <= 2 && !found; half++) {
-            low = (half - 1) * 0.5 * h;
-            high = half == 2 ? h : 0.5 * h;
-            found = reached(m, start, t, high, x);
-            if (!found) released(m, start, t, high);
-        }
-        if (!found) break;
-        if (++count > CASCADE) {
-            g->endless = 1;
-            return 1;
-        }
-        for (half = 0; half < 100 && high - low > 4.0 * 2.220446049250313e-16 * (fabs(t) + h); half++) {
-            middle = 0.5 * (low + high);
-            if (reached(m, start, t, middle, x)) high = middle;
-            else low = middle;
-        }
-        reached(m, start, t, high, x);
-        memcpy(m->x, x, sizeof x);
-        {
-            double u[PREFIX_INPUTS + 1];
-            int i;
-            memcpy(u, m->u, sizeof u);
-            for (i = 0; i < PREFIX_INPUTS; i++) m->u[i] += m->slope[i] * (t + high - start);
-            m->time = t + high;
-            happen(g);
-            memcpy(m->u, u, sizeof u);
-        }
-        if (g->endless) return 1;
-        t += high;
-        h -= high;
-    }
-#endif
-    if (h > 0.0) step(m, start, t, h, m->x);
-    return 0;
-}
-
-/* Equal steps from `from` to `to`, where inputs are those at `start`. */
-static int steps(gb_instance *g, double start, double from, double to) {
+/* Equal steps from `from` to `to`; the inputs are those at `from`, and change by their slopes. */
+static int steps(gb_instance *g, double from, double to) {
     gb_memory *m = &g->memory;
     const double wanted = m->step > 0.0 ? ceil((to - from) / m->step - 1e-9) : 1.0;
     const long count = wanted > 1.0 ? (long)wanted : 1;
     const double h = (to - from) / (double)count;
     long k;
-    for (k = 0; k < count; k++)
-        if (cut(g, start, from + (double)k * h, h)) return 1;
+    for (k = 0; k < count; k++) {
+        const double t = from + (double)k * h;
+#if GB_GUARDS + GB_TIMED > 0
+        g->endless = PREFIX_cut(&m->p, from, m->u, m->slope, t, h, m->x, &m->events);
+        if (g->endless) return 1;
+#else
+        PREFIX_move(&m->p, from, m->u, m->slope, t, h, m->x);
+#endif
+    }
     return 0;
 }
 
@@ -356,10 +200,10 @@ int gb_advance(gb_instance *g, double from, double to) {
     while (before(t, to)) {
         gb_update(g);
         if (!gb_next_event(g, &next) || !before(next, to)) next = to;
-        if (g->endless || steps(g, from, t, next)) return 1;
+        if (g->endless || steps(g, t, next)) return 1;
+        for (i = 0; i < PREFIX_INPUTS; i++) m->u[i] += m->slope[i] * (next - t);
         m->time = t = next;
     }
-    for (i = 0; i < PREFIX_INPUTS; i++) m->u[i] += m->slope[i] * (to - from);
     m->time = to;
     g->fresh = 0;
     for (i = 0; i < PREFIX_STATES; i++)

@@ -33,8 +33,9 @@ typedef enum { GB_INSTANTIATED, GB_INITIALIZATION, GB_RUNNING } gb_mode;
 typedef struct {
     double time, x[PREFIX_STATES], u[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1];
     double regimen[4 * PREFIX_DOSES + 1], given[PREFIX_DOSES + 1], step;
-    double turn[GB_TIMED + 1], band[GB_GUARDS + 1], start; /* how often timed events happened; see gb_indicators */
-    int on[GB_GUARDS + 1], pending[GB_GUARDS + GB_TIMED + 1];
+#if GB_GUARDS + GB_TIMED > 0
+    PREFIX_events events;
+#endif
     PREFIX_parameters p;
     gb_mode mode;
 } gb_memory;

@@ -22,7 +22,6 @@ from gbspec.exports.fmi.description import Version, build_description, descripti
 from gbspec.exports.fmi.variables import Variables
 from gbspec.exports.fmi.verifying import verify as verify_unit
 from gbspec.exports.made import ExportOptions, Made, record
-from gbspec.exports.programs import Programs
 from gbspec.exports.subject import Exported
 
 HEADERS = {
@@ -44,7 +43,7 @@ SPACE = uuid.UUID("6c2f4c52-6a2b-5d0e-9a7e-0f6a3b1c9d55")
 
 def make(version: Version, exported: Exported, options: ExportOptions) -> Made:
     """A unit of FMI 2.0 or 3.0; compared with the generated module where a compiler is there."""
-    library = Library(exported, Programs(exported.model, events=True, algebraics=True))
+    library = Library(exported)
     variables = Variables(library)
     name = library.prefix
     token = f"{{{uuid.uuid5(SPACE, f'{version} {exported.fingerprint}')}}}"
@@ -104,9 +103,6 @@ def _tables(library: Library, variables: Variables) -> list[str]:
     lines = table("double", "GB_X", map(number, exported.states))
     lines += table("double", "GB_NOMINAL", map(number, nominal))
     lines += table("double", "GB_U", map(number, exported.inputs if len(exported.inputs) else [0.0]))
-    lines += table("double", "GB_NODE", [number(float(c)) for c in exported.method.nodes])
-    armed = [str(int(event.armed)) for event in library.programs.conditional]
-    lines += table("int", "GB_ARMED", armed) if armed else []
     return lines + table("int", "GB_DOSE_STATE", [str(model.state_index[d.state]) for d in model.doses] or ["0"])
 
 
