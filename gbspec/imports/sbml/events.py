@@ -23,8 +23,8 @@ from gbspec.imports.formulas import (
     walk,
 )
 from gbspec.imports.sbml.book import Book, Happening, elements
+from gbspec.imports.sbml.factorials import inlined
 from gbspec.imports.sbml.reading import Element
-from gbspec.imports.sbml.rounding import inlined
 from gbspec.imports.sbml.starting import check_start, happened_at_start
 from gbspec.imports.sbml.symbols import Symbols, described
 from gbspec.imports.sbml.together import compare_events
