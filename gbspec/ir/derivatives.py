@@ -99,6 +99,8 @@ def _power(node: sympy.Pow, v: Expr) -> Partials:
     if exponent.is_number:
         return [(base, slope)]
     flat = _choice((sympy.S.Zero, sympy.Eq(exponent, 0, evaluate=False)), slope)
+    if base.is_number and base.is_negative:  # the exponent is a whole number, or there is no value
+        return [(base, flat)]
     growth = v * sympy.log(base)
     if not base.is_number:
         at_zero = sympy.And(sympy.Eq(base, 0, evaluate=False), sympy.Ge(exponent, 0, evaluate=False), evaluate=False)

@@ -18,6 +18,7 @@ from gbspec.ir.model import Expr, Model
 
 MOST = 20_000
 """In an interval with more of these times no step ends at any of them."""
+_JUMPING = (sympy.floor, sympy.sign, Relational)
 _STRAIGHT = 1e-9
 _CLOSE = 1e-11
 _ROUNDING = 8
@@ -30,13 +31,16 @@ def scheduled(model: Model) -> Quantities:
     ones first: arguments of `floor` (True), and differences that are compared (False)."""
     known = {item.symbol for group in (model.constants, model.learnables, model.conditions) for item in group}
     found: dict[tuple[Expr, bool], int] = {}
-    for value in model.inlined((*model.balances, *(equation.residual for equation in model.constraints))):
-        for node in value.atoms(sympy.floor, sympy.sign, Relational):
+    sides = (*model.balances, *(equation.residual for equation in model.constraints))
+    if not any(value.has(*_JUMPING) for value in (*sides, *(item.value for item in model.intermediates))):
+        return ()
+    for value in model.inlined(sides):
+        for node in value.atoms(*_JUMPING):
             compared = node.lhs - node.rhs if isinstance(node, Relational) else node.args[0]
             free = compared.free_symbols
             learned = compared.has(AppliedUndef)
             if model.time.symbol in free and free <= known | {model.time.symbol} and not learned:
-                inner = len(compared.atoms(sympy.floor, sympy.sign, Relational))
+                inner = len(compared.atoms(*_JUMPING))
                 found[compared, isinstance(node, sympy.floor)] = inner
     return tuple(sorted(found, key=lambda each: (found[each], not each[1], sympy.default_sort_key(each[0]))))
 
@@ -55,9 +59,10 @@ def switching_times(values: Values, whole: Sequence[bool], begin: float, end: fl
         edges = np.concatenate([[begin], found[(found > begin + near) & (found < end - near)], [end]])
         a, b = edges[:-1], edges[1:]
         at = np.concatenate([a + share * (b - a) for share in (0.25, 0.5, 0.75)])
-        first, middle, last = np.asarray(np.broadcast_to(values(at)[number], at.shape), dtype=float).reshape(3, -1)
-        rise = 2 * (last - first)
         with np.errstate(all="ignore"):
+            there = np.asarray(np.broadcast_to(values(at)[number], at.shape), dtype=np.float64)
+            first, middle, last = there.reshape(3, -1)
+            rise = 2 * (last - first)
             straight = np.abs(first + last - 2 * middle) <= _STRAIGHT * (np.abs(rise) + np.abs(middle))
         more = [found]
         for k in np.flatnonzero(straight & (rise != 0)):

@@ -16,6 +16,9 @@ from gbspec.syntax import ast, target_name
 
 Lower = Callable[[ast.Expression], Expr]
 
+MOST_CHOICES = 64
+"""A condition with more combinations of values of its `if` is refused."""
+
 _JUMPING = (sympy.Piecewise, sympy.sign, sympy.floor)
 _GREATER = (sympy.StrictGreaterThan, sympy.GreaterThan)
 _LESS = (sympy.StrictLessThan, sympy.LessThan)
@@ -105,17 +108,18 @@ class _Lowering:
 
     def _without_choices(self, node: sympy.Basic, s: ast.EventStatement) -> sympy.Basic:
         """A condition without `if` and `sign` of what changes continuously, where the sides of a comparison would jump:
-        as a condition for each of their values. Reports `floor`, which has too many."""
+        as a condition for each of their values. Reports `floor`, and what else has too many of them."""
         jumping = [part for part in self._inlined(node).atoms(*_JUMPING) if self._moves(part)]
         if not jumping:
             return node
-        if any(isinstance(part, sympy.floor) for part in jumping) and s.condition is not None:
-            self._findings.error(
-                "GB362",
-                f"the condition of `{s.name.text}` jumps with `floor`, `ceil` or `mod`, which has no form yet",
-                s.condition.span,
-                help="write what happens at given times as `event … at 8 every 24`, other conditions without them",
-            )
+        many = math.prod(len(part.args) for part in jumping if isinstance(part, sympy.Piecewise)) > MOST_CHOICES
+        steps = any(isinstance(part, sympy.floor) for part in jumping)
+        if steps or many:
+            assert s.condition is not None
+            why = "jumps with `floor`, `ceil` or `mod`" if steps else "holds too many `if`"
+            help = "write what happens at given times as `event … at 8 every 24`, other conditions without them"
+            message = f"the condition of `{s.name.text}` {why}, which has no form yet"
+            self._findings.error("GB362", message, s.condition.span, help=help)
             return sympy.StrictGreaterThan(self._model.time.symbol, 0)  # so that nothing else is said about it
         return self._expanded(self._inlined(node))
 
