@@ -26,6 +26,7 @@ from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
 from gbspec.exports.programs import MOST_CALLS, MOST_OPERATIONS
 from gbspec.imports.safety import DEEPEST, MOST_DECLARED, MOST_ELEMENTS
 from gbspec.imports.safety import MOST_BYTES as MOST_XML
+from gbspec.ir.schedule import MOST as MOST_SWITCHES
 from gbspec.semantics.tables import MOST_POINTS
 from gbspec.syntax.limits import (
     LONGEST_WORD,
@@ -272,10 +273,10 @@ these not for populations either). `eigen`, `bifurcate` and `export` of such a m
 population its medians.
 
 Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not
-offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export
-to ONNX (GB808). Its identifiability is undecided. Second derivatives through the time of an event are not
-computed. Unknown functions in conditions, resets and times of events are fitted by the torch graph, much more slowly
-than by the kernel.
+offered yet (GB351), nor `floor`, `ceil` and `mod` of what changes continuously in their conditions (GB362); nor are
+stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export to ONNX (GB808). Its
+identifiability is undecided. Second derivatives through the time of an event are not computed. Unknown functions in
+conditions, resets and times of events are fitted by the torch graph, much more slowly than by the kernel.
 
 Algebraic variables that need a search (`equation` without a formula for them): events, disturbances, populations and
 learned noises are not offered together with them yet (GB361), nor export to ONNX and `compile --emit c` (GB808); with
@@ -333,6 +334,7 @@ LIMITS = {
     "elements of an array of states": 2_000,
     "characters of a word": LONGEST_WORD,
     "points of a known function (`table`)": MOST_POINTS,
+    "times at which right sides jump by themselves, in a trajectory (beyond, steps go across them)": MOST_SWITCHES,
     "columns of a table": MOST_COLUMNS,
     "bytes of a line of a CSV or TSV table": LONGEST_LINE,
     "rows of a Parquet table": MOST_ROWS,

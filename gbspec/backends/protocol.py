@@ -131,6 +131,13 @@ class Equations(Protocol):
         """The state after each event."""
 
     @property
+    def whole(self) -> Sequence[bool]:
+        """Whether right sides jump where a value of `schedule` passes a whole number, else where it passes 0."""
+
+    def schedule(self, math: Arithmetic, t: Value, condition: Value, constants: Value, /) -> Sequence[Value]:
+        """What decides when right sides jump, as far as it depends on the time alone; in models that have any."""
+
+    @property
     def blocks(self) -> Sequence[tuple[Value, ...]]:
         """The blocks of algebraic equations, in models that have any: the method of their residuals, that of their
         derivatives, the names of the equations, and name, start and range of each variable."""

@@ -105,9 +105,12 @@ class Programs:
 
     @cached_property
     def switched(self) -> list[Expr]:
-        """The quantities whose signs decide which branches are taken: differences of the sides of comparisons."""
+        """The quantities whose signs decide which branches are taken: differences of the sides of comparisons, and what
+        is 0 where the argument of a `floor` is a whole number."""
         found: dict[Expr, None] = {}
         for value in self._everything:
+            for step in sorted(value.atoms(sympy.floor), key=sympy.default_sort_key):
+                found[sympy.sin(sympy.pi * step.args[0])] = None
             for choice in sorted(value.atoms(sympy.Piecewise), key=sympy.default_sort_key):
                 for _, condition in choice.args:
                     for relation in sorted(condition.atoms(Relational), key=sympy.default_sort_key):

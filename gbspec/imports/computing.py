@@ -1,4 +1,4 @@
-"""Values of constant formulas: those of functions that the language does not have, which are written as numbers.
+"""Values of constant formulas, among them factorials, which are written as numbers.
 
 A formula is computed by its tree; no text is evaluated.
 """
@@ -12,21 +12,19 @@ from typing import Any
 
 from gbspec.imports.formulas import Formula, number, substituted, walk
 
-ROUNDED: dict[str, Callable[..., float]] = {
-    "floor": math.floor,
-    "ceiling": math.ceil,
-    "factorial": lambda x: math.gamma(x + 1),
-    "quotient": lambda a, b: math.trunc(a / b),
-    "rem": math.fmod,
-}
-"""Functions that the language does not have, and that are computed where their arguments are constant."""
+FACTORIAL = "factorial"
+"""A function that the language does not have."""
 _FUNCTIONS: dict[str, Callable[..., float]] = {
     **{name: getattr(math, name) for name in ("exp", "log", "log10", "sqrt", "sin", "cos", "tan", "sinh", "cosh")},
     **{name: getattr(math, name) for name in ("tanh", "asin", "acos", "atan", "asinh", "acosh", "atanh")},
     "abs": abs,
     "min": min,
     "max": max,
-    **ROUNDED,
+    "sign": lambda x: (x > 0) - (x < 0),
+    "floor": math.floor,
+    "ceil": math.ceil,
+    "mod": lambda x, y: x - y * math.floor(x / y),
+    FACTORIAL: lambda x: math.gamma(x + 1),
 }
 _OPERATORS: dict[str, Callable[..., float]] = {
     "+": operator.add,
@@ -124,21 +122,15 @@ def logical(word: str, parts: list[bool | None]) -> bool | None:
     return None if None in parts else word == "and"
 
 
-def has_rounding(formula: Formula) -> bool:
-    """Whether a formula has a function that the language does not have."""
-    return any(node.head == "call" and node.name in ROUNDED for node in walk(formula))
+def has_factorial(formula: Formula) -> bool:
+    """Whether a formula has a factorial."""
+    return any(node.head == "call" and node.name == FACTORIAL for node in walk(formula))
 
 
 def computed(formula: Formula, known: Mapping[str, float]) -> Formula:
-    """A formula with numbers in place of functions that the language does not have. Raises `NotConstantError`, with the
-    function's name, if an argument is not constant."""
+    """A formula with numbers in place of factorials. Raises `NotConstantError` if an argument is not constant."""
 
     def put(node: Formula) -> Formula | None:
-        if node.head != "call" or node.name not in ROUNDED:
-            return None
-        try:
-            return number(value_of(node, known))
-        except NotConstantError:
-            raise NotConstantError(node.name) from None
+        return number(value_of(node, known)) if node.head == "call" and node.name == FACTORIAL else None
 
     return substituted(formula, put)

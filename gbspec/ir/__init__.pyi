@@ -87,6 +87,9 @@ from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic
 from .residual import residuals as residuals
 from .residual import slopes as slopes
+from .schedule import insets as insets
+from .schedule import scheduled as scheduled
+from .schedule import switching_times as switching_times
 from .starts import Initial as Initial
 from .starts import Steady as Steady
 from .tables import Curve as Curve

@@ -1,11 +1,11 @@
 """The derivative rules of all operations of the language, used by the native kernel and the identifiability analysis.
 A test compares torch's automatic differentiation with them.
 
-Conventions where a function has a kink: `abs` and `sign` have slope 0 at 0; where the arguments of `max` or `min` are
-equal, each has slope 1/2 (an argument that is NaN counts as not smaller and not larger); a power whose exponent is a
-variable has slope 0 in its base where the exponent is 0, and slope 0 in its exponent where the base is 0 and the
-exponent is not negative. The derivative of a conditional is that of the branch taken; the condition does not
-contribute.
+Conventions where a function has a kink or jumps: `abs` and `sign` have slope 0 at 0, and `floor` has it everywhere;
+where the arguments of `max` or `min` are equal, each has slope 1/2 (an argument that is NaN counts as not smaller and
+not larger); a power whose exponent is a variable has slope 0 in its base where the exponent is 0, and slope 0 in its
+exponent where the base is 0 and the exponent is not negative. The derivative of a conditional is that of the branch
+taken; the condition does not contribute.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ UNARY: Mapping[type[sympy.Basic], Callable[[Expr, Expr], Expr]] = {
     sympy.atanh: lambda x, v: 1 / (1 - x**2),
     sympy.Abs: lambda x, v: sympy.sign(x),
     sympy.sign: lambda x, v: sympy.S.Zero,
+    sympy.floor: lambda x, v: sympy.S.Zero,
     softplus: lambda x, v: logistic(x),
     logistic: lambda x, v: v * (1 - v),
 }
@@ -98,6 +99,8 @@ def _power(node: sympy.Pow, v: Expr) -> Partials:
     if exponent.is_number:
         return [(base, slope)]
     flat = _choice((sympy.S.Zero, sympy.Eq(exponent, 0, evaluate=False)), slope)
+    if base.is_number and base.is_negative:  # the exponent is a whole number, or there is no value
+        return [(base, flat)]
     growth = v * sympy.log(base)
     if not base.is_number:
         at_zero = sympy.And(sympy.Eq(base, 0, evaluate=False), sympy.Ge(exponent, 0, evaluate=False), evaluate=False)

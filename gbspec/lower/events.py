@@ -16,6 +16,10 @@ from gbspec.syntax import ast, target_name
 
 Lower = Callable[[ast.Expression], Expr]
 
+MOST_CHOICES = 64
+"""A condition with more combinations of values of its `if` is refused."""
+
+_JUMPING = (sympy.Piecewise, sympy.sign, sympy.floor)
 _GREATER = (sympy.StrictGreaterThan, sympy.GreaterThan)
 _LESS = (sympy.StrictLessThan, sympy.LessThan)
 
@@ -58,7 +62,7 @@ class _Lowering:
         guard = condition = timing = None
         if s.condition is not None:
             condition = self._expression(s.condition)
-            guard = self._guard(condition, s.condition.span)
+            guard = self._guard(self._without_choices(condition, s), s.condition.span)
             self._can_change(guard, s)
         else:
             timing = self._timing(s)
@@ -102,6 +106,43 @@ class _Lowering:
         )
         return self._model.time.symbol  # so that nothing else is said about it
 
+    def _without_choices(self, node: sympy.Basic, s: ast.EventStatement) -> sympy.Basic:
+        """A condition without `if` and `sign` of what changes continuously, where the sides of a comparison would jump:
+        as a condition for each of their values. Reports `floor`, and what else has too many of them."""
+        jumping = [part for part in self._inlined(node).atoms(*_JUMPING) if self._moves(part)]
+        if not jumping:
+            return node
+        many = math.prod(len(part.args) for part in jumping if isinstance(part, sympy.Piecewise)) > MOST_CHOICES
+        steps = any(isinstance(part, sympy.floor) for part in jumping)
+        if steps or many:
+            assert s.condition is not None
+            why = "jumps with `floor`, `ceil` or `mod`" if steps else "holds too many `if`"
+            help = "write what happens at given times as `event … at 8 every 24`, other conditions without them"
+            message = f"the condition of `{s.name.text}` {why}, which has no form yet"
+            self._findings.error("GB362", message, s.condition.span, help=help)
+            return sympy.StrictGreaterThan(self._model.time.symbol, 0)  # so that nothing else is said about it
+        return self._expanded(self._inlined(node))
+
+    def _expanded(self, node: sympy.Basic) -> sympy.Basic:
+        if isinstance(node, sympy.And | sympy.Or | sympy.Not):
+            return node.func(*map(self._expanded, node.args))
+        part = next((each for each in sorted(node.atoms(*_JUMPING), key=_size) if self._moves(each)), None)
+        if part is None:
+            return node
+        pairs = part.args if isinstance(part, sympy.Piecewise) else _signs(part.args[0])
+        earlier: list[sympy.Basic] = []
+        found = []
+        for value, condition in pairs:
+            held = [*earlier, condition, node.xreplace({part: value})]
+            found.append(sympy.And(*map(self._expanded, held)))
+            earlier.append(sympy.Not(condition))
+        return sympy.Or(*found)
+
+    def _moves(self, node: sympy.Basic) -> bool:
+        """Whether an expression jumps while nothing else does."""
+        deciding = [c for _, c in node.args] if isinstance(node, sympy.Piecewise) else [node]
+        return any(part.free_symbols & self._moving for part in deciding)
+
     def _inlined(self, node: sympy.Basic) -> sympy.Basic:
         return self._model.inlined([node])[0]
 
@@ -136,6 +177,17 @@ class _Lowering:
 
     def _wrong(self, message: str, place: Span, help: str = "") -> None:
         self._findings.error("GB352", message, place, help=help)
+
+
+def _size(node: sympy.Basic) -> tuple[int, object]:
+    """An order in which what contains another comes after it."""
+    return int(node.count_ops()), sympy.default_sort_key(node)
+
+
+def _signs(argument: Expr) -> tuple[tuple[Expr, sympy.Basic], ...]:
+    """The values of `sign`, each with its condition."""
+    above, below = argument > 0, argument < 0
+    return (sympy.S.One, above), (sympy.S.NegativeOne, below), (sympy.S.Zero, sympy.true)
 
 
 def _refuse_together(model: Model, findings: Findings) -> None:

@@ -25,9 +25,12 @@ _EXACT_BITS = 64
 """Powers of rational numbers stay exact up to this size."""
 
 _ELEMENTARY: dict[str, Callable[..., Expr]] = {
-    **{name: getattr(sympy, name) for name in FUNCTIONS if name not in ("abs", "log10", "min", "max")},
+    **{name: getattr(sympy, name) for name in FUNCTIONS if name not in ("abs", "log10", "ceil", "mod", "min", "max")},
     "abs": sympy.Abs,
     "log10": lambda x: sympy.log(x) / sympy.log(sympy.Integer(10)),
+    # One function with jumps is enough for all that follows.
+    "ceil": lambda x: -sympy.floor(-x),
+    "mod": lambda x, y: x - y * sympy.floor(x * power(y, sympy.S.NegativeOne)),
     "min": lambda *values: sympy.Min(*values, evaluate=False),
     "max": lambda *values: sympy.Max(*values, evaluate=False),
 }

@@ -84,6 +84,9 @@ FUNCTIONS: dict[str, tuple[str, str]] = {
     "min": ("min(a, b, …)", "the smallest of its arguments"),
     "max": ("max(a, b, …)", "the largest of its arguments"),
     "sign": ("sign(x)", "-1, 0 or 1 as x is negative, zero or positive"),
+    "floor": ("floor(x)", "the largest whole number that is not above x"),
+    "ceil": ("ceil(x)", "the smallest whole number that is not below x"),
+    "mod": ("mod(x, y)", "what is left of x above the multiple of y below it, with the sign of y: `mod(t, 24)`"),
     "net": ("net(X)", "the sum of all processes' contributions to the rate of change of the state X"),
     "delay": (
         "delay(X, tau)",

@@ -91,11 +91,28 @@ def enclosure(expression: Expr, box: Box) -> Interval | None:
         if len(known) < len(branches) or expression.args[-1][1] != sympy.true:
             return None
         return _hull(end for branch in known for end in branch._ends())
-    parts = [enclosure(argument, box) for argument in expression.args]
+    terms = _with_fractions(expression.args) if isinstance(expression, sympy.Add) else expression.args
+    parts = [enclosure(argument, box) for argument in terms]
     inner = [part for part in parts if part is not None]
     if len(inner) < len(parts):
         return None
     return _combined(expression, inner)
+
+
+class _Fraction(sympy.Function):  # type: ignore[misc]  # sympy is untyped
+    """What a number is above the whole number below it."""
+
+
+def _with_fractions(terms: tuple[Expr, ...]) -> tuple[Expr, ...]:
+    """The terms of a sum, those of each `mod(x, y) = x - y*floor(x/y)` as `y` times a fraction: together they are
+    enclosed far better than one by one."""
+    for term in terms:
+        for step in term.args if isinstance(term, sympy.Mul) else (term,):
+            whole = -term / step * step.args[0] if isinstance(step, sympy.floor) else None
+            if whole is not None and whole in terms:
+                rest = tuple(other for other in terms if other not in (term, whole))
+                return (*_with_fractions(rest), -term / step * _Fraction(step.args[0]))
+    return terms
 
 
 def _number(expression: Expr) -> Interval | None:
@@ -140,6 +157,10 @@ def _combined(expression: Expr, parts: list[Interval]) -> Interval | None:
         return Interval(-1.0, 1.0)
     if kind is sympy.sign:
         return _mapped(parts[0], lambda x: float((x > 0) - (x < 0)), -math.inf, math.inf, keeps=False)
+    if kind is _Fraction:
+        return Interval(0.0, 1.0, False, True)
+    if kind is sympy.floor:
+        return _mapped(parts[0], _floor, -math.inf, math.inf, keeps=False)
     if kind is sympy.Heaviside:
         return Interval(0.0, 1.0)
     return None
@@ -153,6 +174,10 @@ def _table(expression: Lookup, parts: list[Interval]) -> Interval:
         return Interval(*curve.bounds)
     ends = [float(curve.value((0,), x)) for x in (part.low, part.high)]
     return Interval(min(ends), max(ends))
+
+
+def _floor(x: float) -> float:
+    return x if math.isinf(x) else float(math.floor(x))
 
 
 def _safe(function: Callable[[float], float]) -> Callable[[float], float]:

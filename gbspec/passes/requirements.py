@@ -191,7 +191,7 @@ class _Translation:
         if not monotone(prover, expression, self.symbols[i], direction):
             name = self.symbols[i].name
             jumps = prover.slope(expression, self.symbols[i]) is None
-            how = "jumps (`if` or `sign`), so it is not" if jumps else "is not proved to be"
+            how = "jumps (`if`, `sign`, `floor` or `mod`), so it is not" if jumps else "is not proved to be"
             raise Refused(
                 "GB605",
                 f"`{contract.kind} in {name}` cannot be kept: the postulate `{shown(self.postulate)}` {how}"

@@ -91,8 +91,8 @@ class Prover:
         return enclosure(expression, self.box) is not None
 
     def slope(self, expression: Expr, variable: sympy.Symbol) -> Expr | None:
-        """The derivative; None if the expression may jump, since the variable occurs in an `if` or a `sign`."""
-        jumps = expression.atoms(sympy.Piecewise, sympy.sign)
+        """The derivative; None if the expression may jump, since the variable occurs in an `if`, `sign` or `floor`."""
+        jumps = expression.atoms(sympy.Piecewise, sympy.sign, sympy.floor)
         if any(variable in jump.free_symbols for jump in jumps):
             return None
         derivative = sympy.diff(expression, variable)

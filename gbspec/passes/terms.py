@@ -15,7 +15,7 @@ MOST_TERMS = 2000
 """A product of sums that would have more terms than this is not expanded."""
 
 
-BRANCHES = (sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max, sympy.sign)
+BRANCHES = (sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max, sympy.sign, sympy.floor)
 """Functions that have another formula on each side of a boundary."""
 
 

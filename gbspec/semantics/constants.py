@@ -11,11 +11,14 @@ from gbspec.semantics.expressions import chain, fold, operands
 from gbspec.semantics.vocabulary import CONSTANTS
 from gbspec.syntax import FUNCTIONS, ast
 
+_SEVERAL = ("atan2", "mod", "min", "max")
 _ONE: dict[str, Callable[[float], float]] = {
-    name: getattr(math, name) for name in FUNCTIONS if name not in ("abs", "sign", "atan2", "min", "max")
+    **{name: getattr(math, name) for name in FUNCTIONS if name not in ("abs", "sign", *_SEVERAL)},
+    "abs": math.fabs,
+    "sign": lambda x: float((x > 0) - (x < 0)),
+    "floor": lambda x: float(math.floor(x)),
+    "ceil": lambda x: float(math.ceil(x)),
 }
-_ONE["abs"] = math.fabs
-_ONE["sign"] = lambda x: float((x > 0) - (x < 0))
 
 _COMPARE: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -43,11 +46,18 @@ def apply(function: str, arguments: list[float]) -> float:
             return max(arguments)
         if function == "atan2":
             return math.atan2(*arguments)
+        if function == "mod":
+            return _remainder(*arguments)
         return _ONE[function](*arguments)
     except OverflowError:
         return math.inf
     except ValueError:
         return math.nan
+
+
+def _remainder(x: float, y: float) -> float:
+    """`mod(x, y)`, computed as all backends do (`lower.expressions`); nan where y is 0."""
+    return x - y * math.floor(x / y) if y else math.nan
 
 
 def power(base: float, exponent: float) -> float:
@@ -147,7 +157,7 @@ class Evaluator:
             finally:
                 self._depth -= 1
                 self._not_finite = saved
-        return apply(name, values) if name in _ONE or name in ("min", "max", "atan2") else None
+        return apply(name, values) if name in _ONE or name in _SEVERAL else None
 
 
 def _counted(node: ast.Expression) -> tuple[ast.Expression, ...]:

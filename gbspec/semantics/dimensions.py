@@ -17,7 +17,7 @@ from gbspec.semantics.units import ONE, Unit, read
 from gbspec.syntax import FUNCTIONS, Kind, ast, ungrouped
 
 _OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
-_SAME = frozenset({"abs", "min", "max"})
+_SAME = frozenset({"abs", "mod", "min", "max"})
 _HALF = Fraction(1, 2)
 
 NEEDS_UNIT = frozenset(

@@ -192,7 +192,10 @@ def _uses(subject: Subject) -> Iterator[Use]:
 
 
 def _whole(exponent: ast.Expression, subject: Subject) -> bool:
-    """Whether an exponent is a constant whole number."""
+    """Whether an exponent is a whole number: a constant one, or what `floor` and `ceil` give."""
+    inner = ungrouped(exponent)
+    if isinstance(inner, ast.Call) and inner.function.text in ("floor", "ceil"):
+        return True
     value = Evaluator(subject.values, subject.functions)(exponent)
     return value is not None and value == round(value)
 

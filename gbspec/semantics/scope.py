@@ -13,10 +13,8 @@ from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
 from gbspec.syntax import FUNCTIONS, Kind, ast
 
-_WHOLE = "no function rounds, since none has a useful derivative; `if(cond, a, b)` chooses between values"
 _NOT_OFFERED = {
     "lag": "write `delay(X, tau)`: what X was a time tau ago",
-    **dict.fromkeys(("floor", "ceil", "ceiling", "round", "trunc", "int", "mod", "fmod"), _WHOLE),
     **dict.fromkeys(
         ("random", "rand", "randn", "noise", "normal", "gauss", "uniform"),
         "no function is random; `diffusion x = …` disturbs a state, and `noise normal(…)` of `observe` a measurement",
@@ -24,6 +22,9 @@ _NOT_OFFERED = {
     **dict.fromkeys(("integral", "integrate"), "an integral is a state: `state y`, `y' = …`, `initial y = 0`"),
 }
 """Functions that other languages have, and what takes their place here."""
+
+_FLAT = frozenset({"sign", "floor", "ceil"})
+"""Functions whose slope is 0 almost everywhere."""
 
 _NO_ARGUMENTS = frozenset({Kind.FUNCTION, Kind.TABLE, Kind.UNKNOWN, Kind.CHANNEL, Kind.CLAIM})
 """Kinds of names that cannot be an argument of an unknown by name."""
@@ -74,6 +75,8 @@ class Resolver:
                 stack.append((node.otherwise, smooth))
                 stack.append((node.then, smooth))
                 stack.append((node.condition, False))
+            elif isinstance(node, ast.Call) and node.function.text in _FLAT:
+                stack.extend((part, False) for part in reversed(parts))
             else:
                 stack.extend((part, smooth) for part in reversed(parts))
 

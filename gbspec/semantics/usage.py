@@ -59,7 +59,8 @@ def observed_names(items: Iterable[Item]) -> set[str]:
 
 
 def only_compared(sites: Sites, observed: set[str], table: Table, findings: Findings) -> None:
-    """Warns of learnables that occur only in conditions of `if`: they have no gradient and cannot be learned."""
+    """Warns of learnables that occur only in conditions, `sign`, `floor` or `ceil`: without a gradient they cannot be
+    learned."""
     values = {site.owner: site for site in sites if site.owner is not None}
     reached: dict[bool, set[str]] = {True: set(), False: set()}
     for smooth, found in reached.items():
@@ -79,9 +80,9 @@ def only_compared(sites: Sites, observed: set[str], table: Table, findings: Find
             places = [s.references.names[name] for s in sites if s.counts and name in s.references.names]
             findings.warning(
                 "GB404",
-                f"`{name}` occurs only in comparisons, so training cannot change it",
+                f"`{name}` occurs only where values jump, so training cannot change it",
                 declaration.span,
-                labels=[Label(span, "a comparison") for span in places[:4]],
+                labels=[Label(span, "in a comparison, or in a function that jumps") for span in places[:4]],
                 help=f"let it enter smoothly, for example by `1/(1 + exp(-(x - {name})/width))`; or make it a `const`",
                 subject=name,
             )

@@ -7,8 +7,8 @@ from functools import cache
 
 FUNCTIONS: dict[str, int] = {
     **dict.fromkeys(("exp", "log", "log10", "sqrt", "sin", "cos", "tan", "tanh", "sinh", "cosh"), 1),
-    **dict.fromkeys(("asin", "acos", "atan", "asinh", "acosh", "atanh", "abs", "sign"), 1),
-    **dict.fromkeys(("atan2", "min", "max"), 2),
+    **dict.fromkeys(("asin", "acos", "atan", "asinh", "acosh", "atanh", "abs", "sign", "floor", "ceil"), 1),
+    **dict.fromkeys(("atan2", "mod", "min", "max"), 2),
 }
 """The functions of the language and how many arguments each takes (`min` and `max`: at least that many)."""
 

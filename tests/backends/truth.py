@@ -165,7 +165,7 @@ FUNCTIONS: Mapping[type[sympy.Basic], Callable[..., Any]] = {
     },
     **{
         getattr(sympy, name): getattr(mpmath, name)
-        for name in ["asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2", "sign"]
+        for name in ["asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2", "sign", "floor"]
     },
     softplus: lambda a: mpmath.log(1 + mpmath.exp(a)),
     logistic: lambda a: 1 / (1 + mpmath.exp(-a)),

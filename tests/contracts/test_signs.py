@@ -37,6 +37,11 @@ PROVED = [
     (sympy.Abs(g - 3) + K, True),
     (sympy.tanh(u) - sympy.tanh(u) ** 3, False),
     (sympy.Piecewise((u, u > 5), (K, True)), False),
+    (sympy.floor(u), False),
+    (sympy.floor(-u / 24) + sympy.Rational(3, 2), True),
+    (g - 24 * sympy.floor(g / 24), False),
+    (24 - g + 24 * sympy.floor(g / 24), True),
+    (2 + u - K * sympy.floor(u / K), True),
 ]
 
 NOT_PROVED = [
@@ -48,6 +53,8 @@ NOT_PROVED = [
     (sympy.log(u), False),
     (g - K, False),
     (sympy.sqrt(u - 1), False),
+    (sympy.floor(u), True),
+    (g - 24 * sympy.floor(g / 23), False),
 ]
 
 
@@ -114,6 +121,7 @@ def expressions() -> st.SearchStrategy[sympy.Expr]:
         sympy.sin,
         sympy.acos,
         sympy.asinh,
+        sympy.floor,
         lambda a: a**2,
         lambda a: a**3,
         lambda a: 1 / a,
@@ -123,6 +131,7 @@ def expressions() -> st.SearchStrategy[sympy.Expr]:
         sympy.Mul,
         lambda a, b: a - b,
         lambda a, b: a / b,
+        lambda a, b: a - b * sympy.floor(a / b),
         sympy.Max,
         sympy.Min,
         lambda a, b: sympy.Abs(a) ** b,

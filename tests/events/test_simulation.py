@@ -132,6 +132,29 @@ def test_armed() -> None:
     assert both(text, [1.0, 0.0, 0.0], np.array([0.0, 1.0]))[-1, 1:].tolist() == [1.0, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("condition", "at"),
+    [
+        ("if(t >= 3, 1, -1) > 0", 3.0),
+        ("not (if(t >= 3, 1, -1) < 0)", 3.0),
+        ("sign(t - 3) >= 0", 3.0),
+        ("if(x < 0.5, if(t > 2, 1, 0), 0) > 0.5", 5.0),
+        ("jumping > 0.5", 3.0),
+        ("if(t > 3, x, 1 - x) > 0.6", 3.0),
+        ("if(n >= 1, 0, x) < 0.4", 6.0),
+        ("if(x < 0.25, 1, if(x > 0.75, 1, 0)) == 1", 7.5),
+    ],
+)
+def test_conditions_whose_sides_jump(condition: str, at: float) -> None:
+    """Once, at the time of the jump, also where a measurement is made then."""
+    text = lines(
+        *("time t from 0", "state x", "discrete n = 0", "discrete told = 0", "let jumping = if(t < 3, x - 1, x)"),
+        *("x' = -0.1", f"event e when {condition}: n = n + 1, told = t"),
+    )
+    found = both(text, [1.0, 0.0, 0.0], np.arange(0.0, 10.5, 0.5))
+    assert found[-1, 1:].tolist() == [1.0, pytest.approx(at, abs=1e-9)]
+
+
 def test_a_maximum_within_a_step_and_inputs() -> None:
     """A threshold that is crossed twice within a step, and one that a jump of an input crosses."""
     text = lines(

@@ -115,7 +115,22 @@ def stored(folder: Path, text: str, table: str) -> tuple[str, str]:
     return str(folder / "m.gb"), str(folder / "m.csv")
 
 
-@pytest.mark.parametrize("case", [PLAIN, DRIVEN, SWITCHED, RESTING], ids=["plain", "driven", "switched", "resting"])
+REPEATED = (
+    """model repeated
+time t from 0
+state x = 0.2
+learn a = 0.6 in [0.1, 2]
+let steps = floor(3*x)
+x' = if(mod(t, 2) < 0.5, a, 0) - 0.1*ceil(2*x)*x + 0.01*sign(x - 1)
+initial x = 0.2
+observe y = x + steps noise normal(0.5)
+""",
+    "t,y\n0.5,1.5\n1,1.1\n2.1,1\n3,2\n",
+)
+CASES = {"plain": PLAIN, "driven": DRIVEN, "switched": SWITCHED, "resting": RESTING, "repeated": REPEATED}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_a_problem_has_the_same_likelihood_again(tmp_path: Path, case: tuple[str, str]) -> None:
     model, data = stored(tmp_path, *case)
     made = gbspec.load(model).export(tmp_path / "out", as_="petab", data=data, verify=False)
@@ -174,6 +189,8 @@ def test_names_units_and_descriptions_are_kept(tmp_path: Path) -> None:
          "t,x\n0,1\n1,1\n", "per trajectory"),
         ("model m\nstate x = 1\nx' = -x\ninitial x = 1\nobserve x noise student(1, 4)\n",
          "t,x\n0,1\n1,1\n", "Student"),
+        ("model m\nstate x = 1\nx' = -x\ninitial x = 1\nobserve y = floor(3*x) noise normal(1)\n",
+         "t,y\n0,1\n1,1\n", "which formulas of PEtab lack"),
         ("model m\nstate x = 1\nlearn k = 1 in [0.1, 3] per trajectory ~ lognormal(0.3)\nx' = -k*x\ninitial x = 1\n"
          "observe x noise normal(1)\n", "t,x\n0,1\n1,1\n", "distributed between"),
     ],

@@ -25,7 +25,7 @@ from gbspec.exports.programs import Programs
 from gbspec.exports.writing import archived
 from gbspec.frontend import load_model
 from gbspec.operations import exporting, models
-from tests.exports.texts import CHOICES, DOSED, HAPPENING, SWITCHED, exported, model_of
+from tests.exports.texts import CHOICES, DOSED, HAPPENING, REPEATED, SWITCHED, exported, model_of
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -226,8 +226,9 @@ def test_units_are_those_of_the_si(version: Version, tmp_path: Path) -> None:
 
 
 @VERSIONS
-def test_solvers_stop_where_choices_change(version: Version, tmp_path: Path) -> None:
-    subject = exported(model_of(SWITCHED))
+@pytest.mark.parametrize("text", [SWITCHED, REPEATED])
+def test_solvers_stop_where_choices_change(text: str, version: Version, tmp_path: Path) -> None:
+    subject = exported(model_of(text))
     found = fmpy.simulate_fmu(
         str(unit(subject, version, tmp_path)), fmi_type="ModelExchange", output=["x", "y"], stop_time=3.0,
         output_interval=0.5, solver="CVode", relative_tolerance=1e-11, record_events=False,

@@ -59,6 +59,7 @@ FUNCTIONS = {
     "asinh": (np.arcsinh, -1e6, 1e6), "acosh": (np.arccosh, 1, 1e6), "atanh": (np.arctanh, -0.999, 0.999),
     "softplus": (lambda x: np.logaddexp(x, 0.0), -60, 60), "logistic": (lambda x: 1 / (1 + np.exp(-x)), -600, 600),
     "erf": (np.vectorize(math.erf), -9, 9), "abs": (np.abs, -3, 3), "sign": (np.sign, -3, 3),
+    "floor": (np.floor, -3, 3),
 }  # fmt: skip
 
 

@@ -92,6 +92,18 @@ observe y
 """
 
 
+REPEATED = """model repeated
+time t
+state x in [0, 2] = 0
+state y in [-3, 3] = 0
+learn a = 1.3 in [0.1, 10]
+x' = if(mod(t, 0.8) < 0.3, a, 0) - 0.5*x
+y' = floor(4*x) - ceil(2*y)
+observe x
+observe y
+"""
+
+
 def model_of(text: str) -> Model:
     """A model from its text."""
     return load_model("model.gb", Findings(), lambda path: Source(str(path), text))

@@ -141,12 +141,68 @@ def test_units_that_disagree_are_left_out_and_listed(tmp_path: Path) -> None:
     assert ": m" not in Path(found.model).read_text()
 
 
+def test_functions_that_round(tmp_path: Path) -> None:
+    """`quotient` rounds towards 0 and `rem` has the sign of the first argument, as MathML says."""
+    assigned = {name: made.apply(name, "x") for name in ("floor", "ceiling")}
+    assigned |= {name: made.apply(name, "x", "two") for name in ("quotient", "rem")}
+    assigned |= {"whole": made.apply("quotient", "7", "2"), "left": made.apply("rem", "7", "2")}
+    assigned["six"] = made.apply("factorial", made.apply("ceiling", made.apply("plus", "two", "0.5")))
+    rules = "".join(f'<assignmentRule variable="{k}_">{made.math(v)}</assignmentRule>' for k, v in assigned.items())
+    rules += f'<rateRule variable="x">{made.math("<cn>-4.9</cn>")}</rateRule>'
+    free = made.parameters("false", x="5", **{f"{name}_": "0" for name in assigned})
+    free = free.replace("</listOfParameters>", '<parameter id="two" value="2" constant="true"/></listOfParameters>')
+    found = solved(tmp_path, made.sbml(free, f"<listOfRules>{rules}</listOfRules>"))
+    assert found["x"] == pytest.approx([5.0, 0.1, -4.8])
+    assert found["floor_"].tolist() == [5, 0, -5]
+    assert found["ceiling_"].tolist() == [5, 1, -4]
+    assert found["quotient_"].tolist() == [2, 0, -2]
+    assert found["rem_"] == pytest.approx([1.0, 0.1, -0.8])
+    assert (found["whole_"].tolist(), found["left_"].tolist(), found["six_"].tolist()) == ([3] * 3, [1] * 3, [6] * 3)
+
+
+def pieces(*conditions: tuple[str, str, str]) -> str:
+    """A `piecewise` without `otherwise`, whose pieces have the values 1, 2, ..."""
+    each = (f"<piece><cn>{i}</cn>{made.apply(*one)}</piece>" for i, one in enumerate(conditions, 1))
+    return f"<piecewise>{''.join(each)}</piecewise>"
+
+
+INFINITE = "<infinity/>"
+
+
+@pytest.mark.parametrize(
+    ("conditions", "wanted"),
+    [
+        ([("gt", "x", "0"), ("leq", "x", "0")], [1, 2]),
+        ([("gt", "x", "y"), ("geq", "y", "x")], [1, 2]),
+        ([("lt", "x", "0"), ("geq", "2", "x"), ("gt", "x", "2")], [2, 1]),
+        ([("lt", "x", INFINITE)], [1, 1]),
+        ([("geq", "x", INFINITE), ("neq", "x", INFINITE)], [2, 2]),
+        ([("gt", "x", "0"), ("lt", "x", "0")], None),
+        ([("gt", "x", "0"), ("leq", "x", "1"), ("leq", "y", "0")], None),
+        ([("lt", "x", "0"), ("geq", "x", "1")], None),
+    ],
+)
+def test_pieces_without_otherwise(
+    tmp_path: Path, conditions: list[tuple[str, str, str]], wanted: list[float] | None
+) -> None:
+    """They are imported where the conditions leave out nothing."""
+    rate = f'<rateRule variable="x">{made.math("<cn>-1</cn>")}</rateRule>'
+    rules = f'{rate}<assignmentRule variable="z">{made.math(pieces(*conditions))}</assignmentRule>'
+    text = made.sbml(made.parameters("false", x="1", y="0.25", z="0"), f"<listOfRules>{rules}</listOfRules>")
+    if wanted is not None:
+        found = solved(tmp_path, text)["z"]
+        assert [found[0], found[-1]] == wanted
+        return
+    with pytest.raises(UserError, match="without `otherwise`"):
+        import_file(made.stored(tmp_path, text), tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("part", "reason"),
     [
         ("<listOfRules><algebraicRule>{x}</algebraicRule></listOfRules>", "algebraic rules are not offered yet"),
         ('<listOfRules><rateRule variable="x">{delay}</rateRule></listOfRules>', "a delay is not offered yet"),
-        ('<listOfRules><rateRule variable="x">{ceiling}</rateRule></listOfRules>', "`ceiling` of a quantity"),
+        ('<listOfRules><rateRule variable="x">{factorial}</rateRule></listOfRules>', "the factorial of a quantity"),
         ('<listOfRules><rateRule variable="x">{unknown}</rateRule></listOfRules>', "nothing declares it"),
     ],
 )
@@ -155,7 +211,7 @@ def test_what_has_no_form_is_refused_with_its_place(tmp_path: Path, part: str, r
     part = part.format(
         x=made.math("<ci>x</ci>"),
         delay=made.math(f"<apply>{delay}<ci>x</ci><cn>1</cn></apply>"),
-        ceiling=made.math(made.apply("ceiling", "x")),
+        factorial=made.math(made.apply("factorial", "x")),
         unknown=made.math("<ci>nobody</ci>"),
     )
     path = made.stored(tmp_path, made.sbml(made.parameters("false", x="1"), part))
@@ -175,9 +231,12 @@ def test_all_reasons_are_given_at_once(tmp_path: Path) -> None:
     assert len(raised.value.diagnostics) == 3
 
 
-@pytest.mark.parametrize("case", ["00001", "00051", "00069", "00901", "01113", "01485", "01562"])
+@pytest.mark.parametrize(
+    "case", ["00001", "00051", "00069", "00197", "00901", "01113", "01116", "01277", "01485", "01562"]
+)
 def test_cases_of_the_suite(tmp_path: Path, case: str) -> None:
-    """Amounts, a changing compartment, Level 2, conversion factors, constants alone, rare functions."""
+    """Amounts, a changing compartment, Level 2, `ceiling`, conversion factors, constants alone, a `piecewise` without
+    `otherwise`, `quotient`, rare functions."""
     from benchmarks.studies.sbml import judged
 
     assert judged(suite("sbml") / case).end == "passed"

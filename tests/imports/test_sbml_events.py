@@ -139,6 +139,7 @@ both_x = made.apply("gt", "x", "1.5")
     [
         ([made.event("e", made.apply("gt", TIME, "0"), {"x": "<cn>2</cn>"})], "lies at its threshold"),
         ([made.event("e", made.apply("eq", TIME, "1"), {"x": "<cn>2</cn>"})], "a trigger with `==`"),
+        ([made.event("e", made.apply("geq", made.apply("floor", TIME), "1"), {"x": "<cn>2</cn>"})], "with `floor`"),
         (
             [
                 made.event("e", at("0"), {"x": "<cn>2</cn>"}, initial="false"),

@@ -46,6 +46,9 @@ OPERATIONS: dict[str, sympy.Expr] = {
 KINKS: dict[str, tuple[sympy.Expr, tuple[float, float, float], tuple[float, float, float]]] = {
     "abs": (sympy.Abs(X), (0.0, 1.0, 1.0), (0.0, 0.0, 0.0)),
     "sign": (sympy.sign(X), (0.0, 1.0, 1.0), (0.0, 0.0, 0.0)),
+    "floor": (sympy.floor(X), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)),
+    "alternating": (sympy.Integer(-1) ** sympy.floor(X) * X, (3.5, 1.0, 1.0), (-1.0, 0.0, 0.0)),
+    "remainder": (X - Y * sympy.floor(X / Y), (-7.5, 2.0, 1.0), (1.0, 4.0, 0.0)),
     "max": (OPERATIONS["max"], (0.4, 0.4, 1.0), (0.5, 0.5, 0.0)),
     "min": (OPERATIONS["min"], (0.4, 0.4, 1.0), (0.5, 0.5, 0.0)),
     "max of three": (OPERATIONS["max of three"], (0.4, 0.4, 0.4), (0.25, 0.25, 0.5)),

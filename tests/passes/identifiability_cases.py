@@ -9,6 +9,7 @@ from __future__ import annotations
 ORAL = "state g\nstate c\nlearn ka = 1\nlearn ke = 0.3\ng' = -ka*g\nc' = ka*g - ke*c\n"
 CELL = "state q in [0, 1]\ninput I in [-2, 2] held\nlearn Q = 2 in [0.1, 10]\nq' = -I/Q\n"
 OVER = "state x in [0, {}]\nlearn k = 1\nx' = -k*max(x - 5, 0)\nobserve x\n"
+LEVELS = "state x in [{}]\nlearn a = 2\nlearn b = 1\nx' = -(a + b*floor(x))*x\nobserve x\n"
 SIDES = "state x in [{}, 10]\nlearn a = 2\nlearn b = 1\nx' = -(a + b*sign(x - 2))*x\nobserve x\n"
 
 
@@ -109,6 +110,12 @@ FURTHER: dict[str, Case] = {
     ),
     "both sides of a sign": (SIDES.format(0), 0, set(), set(), "a + b above 2 and a - b below"),
     "one side of a sign": (SIDES.format(3), 1, {"a", "b"}, set(), "a + b alone where x > 2"),
+    "several levels": (LEVELS.format("0, 3"), 0, set(), set(), "a, a + b, a + 2 b"),
+    "a single level": (LEVELS.format("1.2, 1.8"), 1, {"a", "b"}, set(), "a + b alone where floor(x) = 1"),
+    "a schedule": (
+        "time t from 0\nstate x in [0, 3]\nlearn a = 2\nlearn b = 1\n"
+        "x' = if(mod(t, 24) < 8, a, b) - x\nobserve x\n", 0, set(), set(), "a by day, b at night",
+    ),
     "friction": (
         "state v in [-2, 2]\nlearn a = 1\nlearn b = 2\nv' = -a*sign(v) - b*v\nobserve v\n", 0, set(), set(),
         "a line in v on either side",

@@ -23,8 +23,8 @@ HEAD = """# Structural identifiability: examples with known answers
 table shows its answers for cases of the test suite (written by `python -m tests.passes.identifiability_table`).
 Functions declared `unknown` are arbitrary functions of their arguments. States, conditions, inputs and the amounts of
 doses may have any value within their declared ranges, inputs and doses at any time; every branch of `max`, `min`,
-`abs`, `sign` and `if` that this allows counts. Where it is open whether data reach a branch, the answer is *undecided*,
-which is no warning. Line numbers count from `model m`, the first.
+`abs`, `sign`, `floor` and `if` that this allows counts. Where it is open whether data reach a branch, the answer is
+*undecided*, which is no warning. Line numbers count from `model m`, the first.
 
 | case | model | not distinguishable | transformation, or reason | lines | remedies |
 |---|---|---|---|---|---|

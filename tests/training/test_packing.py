@@ -101,3 +101,19 @@ def test_very_long_and_very_short_intervals() -> None:
     packed = pack(data, MODEL, 1e3)
     assert packed.substeps == 1 + 1 + 1 + 100
     assert packed.h.sum() == pytest.approx(1e5, rel=1e-12)
+
+
+def test_right_sides_do_not_jump_within_a_step() -> None:
+    """Also where a measurement is made at the time of the jump, up to rounding, and where the trajectory ends."""
+    text = "model m\ntime t from 0\nconst width = 0.7\nlearn k = 1\nlearn late = 2\nstate x in [0, 2]\n"
+    model = model_of(text + "x' = if(mod(t, 2.4) <= width or t > late, 1, ceil(t/3)) - k*x\nobserve x\n")
+    times = np.array([0.5, 0.7 + 1e-15, 2.4, 3.1, 6.0, 24 - 0.0, 24.7])
+    data = Trajectories((trajectory("a", 0.0, times, np.ones((7, 1)), []),), ("x",))
+    packed = pack(data, model, 0.5)
+    n = int(packed.steps[0])
+    t, h = packed.t[:n, 0], packed.h[:n, 0]
+    inside = t[:, None] + np.array([0.0, 0.5, 1.0]) * h[:, None]
+    for value in (inside - 2.4 * np.floor(inside / 2.4) <= 0.7, np.ceil(inside / 3)):
+        assert (value == value[:, 1:2]).all()
+    assert np.allclose(t[1:], t[:-1] + h[:-1], rtol=0, atol=1e-13), "what is left out is rounding"
+    assert not np.isclose(t, 2.0).any(), "what is learned moves during the fit"

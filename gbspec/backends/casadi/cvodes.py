@@ -102,9 +102,8 @@ class Integrator:
         grid = (*((times - piece.begin) / length).tolist()[:-1], 1.0)
         solver = self._solver(grid, problem, stiff)
         scales = problem.scales
-        parameters = np.concatenate(
-            ([piece.begin, length], problem.condition, piece.inputs, piece.slopes, problem.constants, scales)
-        )
+        within = [piece.begin + piece.insets[0], length - sum(piece.insets)]
+        parameters = np.concatenate((within, problem.condition, piece.inputs, piece.slopes, problem.constants, scales))
         try:
             found = np.array(solver(x0=x / scales, p=parameters)["xf"]).T * scales
         except RuntimeError as error:

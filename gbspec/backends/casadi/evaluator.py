@@ -19,7 +19,7 @@ from gbspec.backends.casadi.starts import first_values, steady_start
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.diagnostics import ComputationError
-from gbspec.ir import METHODS
+from gbspec.ir import METHODS, switching_times
 
 
 class Events(Protocol):
@@ -358,7 +358,17 @@ class Evaluator:
             for item in inputs
         ]
         jumps = at_rows(self._jumps(condition, doses, constants), begin, outputs)
-        return segments(begin, float(outputs[-1]), self.n_states, signals, self.instance.interpolation, jumps)
+        end, kinds = float(outputs[-1]), self.instance.interpolation
+        switches = self._switches(begin, end, condition, constants)
+        return segments(begin, end, self.n_states, signals, kinds, jumps, switches, outputs)
+
+    def _switches(self, begin: float, end: float, condition: ArrayLike, constants: ArrayLike | None) -> Array:
+        """The times at which right sides jump, as far as they follow from the time alone."""
+        equations, m = self.instance.equations, self.instance.arithmetic("numpy")
+        if not hasattr(equations, "schedule") or not end > begin:
+            return np.zeros(0)
+        known = (np.asarray(condition, dtype=np.float64).ravel(), self._tuple(constants))
+        return switching_times(lambda t: equations.schedule(m, t, *known), equations.whole, begin, end)
 
     def _jumps(self, condition: ArrayLike, doses: Sequence[Events], constants: ArrayLike | None) -> list[Jump]:
         if not doses:

@@ -58,9 +58,10 @@ def plan(
         jump = piece.jump
         for a, b in pairwise(bounds):
             count = parts * max(1, ceil((b - a) / max_step - 1e-9))
-            h = (b - a) / count
+            first = a + (piece.insets[0] if a == piece.begin else 0.0)
+            h = (b - (piece.insets[1] if b == piece.end else 0.0) - first) / count
             for j in range(count):
-                t = a + j * h
+                t = first + j * h
                 times.append(t)
                 sizes.append(h)
                 elapsed = (t + nodes * h - piece.begin)[:, None]

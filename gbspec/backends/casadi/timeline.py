@@ -9,6 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.ir import insets
+
+_NONE = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class Segment:
     inputs: Array
     slopes: Array
     jump: Array
+    insets: tuple[float, float] = (0.0, 0.0)
+    """By how much steps stay away from its ends (`ir.insets`)."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +82,11 @@ def segments(
     inputs: Sequence[Signal],
     kinds: Sequence[str],
     jumps: Sequence[Jump],
+    switches: Array = _NONE,
+    rows: Array = _NONE,
 ) -> list[Segment]:
-    """The segments of [start, end]: within each, every input is linear in time and no dose is given.
+    """The segments of [start, end]: within each, every input is linear in time, no dose is given, and nothing jumps at
+    `switches`; those within rounding of `rows` lie there.
 
     Jumps before `start` are taken as given already; jumps at `end` or later have no effect.
     """
@@ -87,15 +95,24 @@ def segments(
     cuts = {start, end, *(jump.time for jump in jumps)}
     for signal in inputs:
         cuts |= set(map(float, signal.times))
-    bounds = sorted(cut for cut in cuts if start <= cut <= end)
+    places = np.array(sorted(place for place in {*cuts, *map(float, rows)} if start <= place <= end))
+    places, away = insets(places, switches, ROUNDING * max(end - start, abs(end)))
+    bounds = [(float(place), float(by)) for place, by in zip(places, away, strict=True) if place in cuts or by]
     pieces = []
-    for begin, finish in pairwise(bounds):
+    for (begin, first), (finish, last) in pairwise(bounds):
         pairs = [value_and_slope(signal, kind, begin) for signal, kind in zip(inputs, kinds, strict=True)]
         jump = np.zeros(n_states)
         for item in jumps:
             if item.time == begin:
                 jump[item.state] += item.amount
         pieces.append(
-            Segment(begin, finish, np.array([v for v, _ in pairs]), np.array([slope for _, slope in pairs]), jump)
+            Segment(
+                begin,
+                finish,
+                np.array([v for v, _ in pairs]),
+                np.array([slope for _, slope in pairs]),
+                jump,
+                (first, last),
+            )
         )
     return pieces

@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import algebraic, attributes, delays, equations, events, steady, stepping
+from gbspec.backends.module import algebraic, attributes, delays, equations, events, schedule, steady, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -54,6 +54,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.doses_method(model),
         *equations.diffusions_method(model),
         *events.methods(model),
+        *schedule.methods(model),
         *algebraic.methods(model),
         *delays.methods(model),
         *steady.methods(model),

@@ -237,6 +237,7 @@ INLINE real f_sqrt(real x) { return FN(sqrt)(x); }
 INLINE real f_power(real x, real p) { return FN(pow)(x, p); }
 INLINE real f_abs(real x) { return FN(fabs)(x); }
 INLINE real f_sign(real x) { return x > R(0) ? R(1) : x < R(0) ? R(-1) : x; }
+INLINE real f_floor(real x) { return FN(floor)(x); }
 INLINE real f_maximum(real a, real b) { return a > b || a != a ? a : b; }
 INLINE real f_minimum(real a, real b) { return a < b || a != a ? a : b; }
 INLINE real f_softplus(real x) { return x > R(40) ? x : FN(log1p)(FN(exp)(x)); }

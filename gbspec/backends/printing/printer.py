@@ -40,6 +40,7 @@ UNARY: Mapping[type[sympy.Basic], str] = {
     sympy.atanh: "atanh",
     sympy.Abs: "abs",
     sympy.sign: "sign",
+    sympy.floor: "floor",
     softplus: "softplus",
     logistic: "logistic",
 }

@@ -14,7 +14,7 @@ from gbspec.exports.onnx.graph import Graph
 
 DIRECT = {
     "exp": "Exp", "log": "Log", "sin": "Sin", "cos": "Cos", "tanh": "Tanh", "sqrt": "Sqrt", "abs": "Abs",
-    "sign": "Sign", "negative": "Neg",
+    "sign": "Sign", "floor": "Floor", "negative": "Neg",
 }  # fmt: skip
 """Functions that have an operator in both precisions."""
 SINGLE = {

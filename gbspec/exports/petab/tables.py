@@ -14,7 +14,7 @@ from gbspec.backends import NotCoveredError
 from gbspec.data import Trajectories, Trajectory
 from gbspec.exports.petab.courses import Course, Lines
 from gbspec.exports.sbml import Document
-from gbspec.ir import PREDICTION, Channel, Learnable
+from gbspec.ir import PREDICTION, Channel, Expr, Learnable
 
 OBSERVABLE = "obs_"
 """Before the name of a channel: an observable cannot have the name of a quantity of the model."""
@@ -77,7 +77,7 @@ class Observed:
             name = self.name(channel)
             kind, noise = self._noise(channel, self._own_sd(i))
             holder = f"noiseParameter1_{name}" if self._own_sd(i) else ""
-            value = self._document.infix(channel.value)
+            value = self._formula(channel, channel.value)
             rows.append((name, channel.description or channel.name, value, noise, kind, "", holder))
         columns = ("observableId", "observableName", "observableFormula", "noiseFormula", "noiseDistribution")
         return table((*columns, "observablePlaceholders", "noisePlaceholders"), rows)
@@ -120,8 +120,15 @@ class Observed:
         scale = sympy.Float(noise.scale) if noise.value is None else noise.value
         scale = scale.xreplace({PREDICTION: sympy.Symbol(self.name(channel), real=True)})
         if noise.kind == "normal":
-            return "normal", self._document.infix(scale)
-        return "log-normal", self._document.infix(sympy.sqrt(sympy.log(1 + scale**2)))
+            return "normal", self._formula(channel, scale)
+        return "log-normal", self._formula(channel, sympy.sqrt(sympy.log(1 + scale**2)))
+
+    def _formula(self, channel: Channel, value: Expr) -> str:
+        """A formula of the tables, whose functions are fewer than those of SBML."""
+        if value.has(sympy.floor):
+            what = f"`{channel.name}` has `floor`, `ceil` or `mod`, which formulas of PEtab lack"
+            raise NotCoveredError(f"{what}; name the value by `let`, which is in the SBML file")
+        return self._document.infix(value)
 
     def _check(self, course: Course, item: Trajectory, k: int, channel: Channel) -> None:
         """PEtab measures after what a period sets, the language before a dose."""

@@ -23,8 +23,8 @@ from gbspec.imports.formulas import (
     walk,
 )
 from gbspec.imports.sbml.book import Book, Happening, elements
+from gbspec.imports.sbml.factorials import inlined
 from gbspec.imports.sbml.reading import Element
-from gbspec.imports.sbml.rounding import inlined
 from gbspec.imports.sbml.starting import check_start, happened_at_start
 from gbspec.imports.sbml.symbols import Symbols, described
 from gbspec.imports.sbml.together import compare_events
@@ -194,6 +194,14 @@ def _choice(node: Formula, holds: Callable[[float], bool]) -> Formula:
 
 
 def _check_condition(symbols: Symbols, condition: Formula, refuse: Callable[[str], None]) -> None:
+    def jumps(node: Formula) -> bool:
+        if node.head == "name" and node.name in symbols.intermediates:
+            value = symbols.intermediates[node.name].value
+            return value is not None and any(map(jumps, walk(value)))
+        return node.head == "call" and node.name in ("floor", "ceil", "mod") and symbols.moves(node)
+
     for node in walk(condition):
+        if jumps(node):
+            refuse("a trigger with `floor`, `ceiling`, `quotient` or `rem` of what changes continuously is not offered")
         if node.head == "==" and symbols.moves(node):
             refuse("a trigger with `==` of what changes continuously has no form in the language")

@@ -21,9 +21,9 @@ from gbspec.imports.formulas import (
 )
 from gbspec.imports.sbml.book import Happening, Reaction, Term, elements, read_book
 from gbspec.imports.sbml.events import add_events, read_events, values_set
+from gbspec.imports.sbml.factorials import inlined, to_inline, without_factorials
 from gbspec.imports.sbml.mathml import NotOfferedError, formula_of
 from gbspec.imports.sbml.reading import Element, omit_notes, read_model
-from gbspec.imports.sbml.rounding import inlined, to_inline, without_rounding
 from gbspec.imports.sbml.symbols import Starts, Symbols, described, read_symbols
 from gbspec.imports.sbml.units import time_unit
 from gbspec.imports.writing import model_name, used_names
@@ -96,7 +96,7 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     add_events(symbols, out, {f.id: f for f in functions})
     out.channels = _channels(symbols) if change.channels is None else list(change.channels)
     _with_clock(out, report, model.getLine())
-    without_rounding(out, report, symbols.place)
+    without_factorials(out, report, symbols.place)
     _check(symbols, out)
     omit_notes(report, model)
     return out

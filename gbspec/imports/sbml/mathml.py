@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import libsbml
 
+from gbspec.imports.computing import FACTORIAL, value_of
 from gbspec.imports.formulas import (
     FALSE,
     ONE,
@@ -28,7 +29,9 @@ from gbspec.imports.formulas import (
     named,
     negated,
     number,
+    walk,
 )
+from gbspec.imports.sbml.pieces import exhaustive
 
 Node: TypeAlias = Any
 """A node of libsbml, which has no types."""
@@ -44,6 +47,9 @@ _PLAIN = {
     libsbml.AST_FUNCTION_EXP: "exp",
     libsbml.AST_FUNCTION_LN: "log",
     libsbml.AST_FUNCTION_ABS: "abs",
+    libsbml.AST_FUNCTION_FLOOR: "floor",
+    libsbml.AST_FUNCTION_CEILING: "ceil",
+    libsbml.AST_FUNCTION_FACTORIAL: FACTORIAL,  # replaced later (`factorials`)
     libsbml.AST_FUNCTION_SIN: "sin",
     libsbml.AST_FUNCTION_COS: "cos",
     libsbml.AST_FUNCTION_TAN: "tan",
@@ -90,14 +96,6 @@ _CONSTANTS = {
     libsbml.AST_NAME_TIME: TIME,
     libsbml.AST_NAME_AVOGADRO: number(AVOGADRO),
 }
-_ROUNDED = {
-    libsbml.AST_FUNCTION_FLOOR: "floor",
-    libsbml.AST_FUNCTION_CEILING: "ceiling",
-    libsbml.AST_FUNCTION_FACTORIAL: "factorial",
-    libsbml.AST_FUNCTION_QUOTIENT: "quotient",
-    libsbml.AST_FUNCTION_REM: "rem",
-}
-"""Functions that the language does not have: computed where their arguments are constants (`imports.computing`)."""
 _NOT_OFFERED = {
     libsbml.AST_FUNCTION_DELAY: "a delay is not offered yet",
     libsbml.AST_FUNCTION_RATE_OF: "`rateOf` is not offered yet",
@@ -106,7 +104,10 @@ _NOT_OFFERED = {
 
 def formula_of(node: Node, local: Mapping[str, str] | None = None) -> Formula:
     """The formula of a node; `local` gives names in place of others. Raises `NotOfferedError`."""
-    return _Translation(local or {}).of(node)
+    found = _Translation(local or {}).of(node)
+    if any(part.head == "number" and math.isinf(part.value) for part in walk(found)):
+        raise NotOfferedError("a number that is not finite has no form in the language, but in comparisons")
+    return found
 
 
 class _Translation:
@@ -136,7 +137,7 @@ class _Translation:
     def _number(self, node: Node) -> Formula:
         kind = node.getType()
         value = float(node.getInteger()) if kind == libsbml.AST_INTEGER else float(node.getReal())
-        if not math.isfinite(value):
+        if math.isnan(value):
             raise NotOfferedError("a number that is not finite has no form in the language")
         if kind == libsbml.AST_RATIONAL:
             return number(node.getNumerator()) / number(node.getDenominator())
@@ -159,10 +160,10 @@ class _Translation:
     def _logic(self, kind: int, parts: list[Formula]) -> Formula | None:
         if kind in _COMPARISONS:
             pairs = pairwise(parts)
-            return both([compared(_COMPARISONS[kind], a, b) for a, b in pairs])
+            return both([_compared(_COMPARISONS[kind], as_number(a), as_number(b)) for a, b in pairs])
         match kind:
             case libsbml.AST_RELATIONAL_NEQ:
-                return negated(compared("==", *parts))
+                return negated(_compared("==", *map(as_number, parts)))
             case libsbml.AST_LOGICAL_AND:
                 return both(parts)
             case libsbml.AST_LOGICAL_OR:
@@ -191,12 +192,16 @@ class _Translation:
                 return self._logarithm(parts)
             case libsbml.AST_FUNCTION_ROOT:
                 return self._root(parts)
+            case libsbml.AST_FUNCTION_QUOTIENT:
+                return _quotient(as_number(parts[0]), as_number(parts[1]))
+            case libsbml.AST_FUNCTION_REM:
+                return _remainder(as_number(parts[0]), as_number(parts[1]))
             case libsbml.AST_FUNCTION_PIECEWISE:
                 return self._piecewise(parts)
             case libsbml.AST_FUNCTION:
                 return applied(node.getName(), *parts)
             case _:
-                return self._rounded(kind, parts)
+                return None
 
     def _logarithm(self, parts: list[Formula]) -> Formula:
         base, of = (number(10), parts[0]) if len(parts) == 1 else parts
@@ -212,8 +217,11 @@ class _Translation:
 
     def _piecewise(self, parts: list[Formula]) -> Formula:
         found = as_number(parts[-1]) if len(parts) % 2 else None
+        conditions = [as_condition(part) for part in parts[1::2]]
+        if found is None and exhaustive(conditions):
+            found = as_number(parts[-2])
         for i in range(len(parts) - len(parts) % 2 - 2, -1, -2):
-            condition = as_condition(parts[i + 1])
+            condition = conditions[i // 2]
             if found is None and condition not in (TRUE, FALSE):
                 raise NotOfferedError("a `piecewise` without `otherwise` has no value where no condition holds")
             if condition != FALSE:
@@ -222,10 +230,33 @@ class _Translation:
             raise NotOfferedError("a `piecewise` without a condition that holds has no value")
         return found
 
-    def _rounded(self, kind: int, parts: list[Formula]) -> Formula | None:
-        if kind not in _ROUNDED:
-            return None
-        return call(_ROUNDED[kind], *parts)
+
+def _compared(sign: str, left: Formula, right: Formula) -> Formula:
+    """A comparison; one with an infinite number is decided, since every quantity is finite."""
+    ends = [part.value if part.head == "number" else 0.0 for part in (left, right)]
+    if any(map(math.isinf, ends)):
+        return TRUE if value_of(compared(sign, *map(number, ends)), {}) else FALSE
+    return compared(sign, left, right)
+
+
+def _quotient(a: Formula, b: Formula) -> Formula:
+    """a / b without its fraction: rounded towards 0, as MathML says."""
+    ratio = Formula("/", (a, b))
+    if _positive(a) and _positive(b):
+        return call("floor", ratio)
+    return call("sign", ratio) * call("floor", call("abs", ratio))
+
+
+def _remainder(a: Formula, b: Formula) -> Formula:
+    """What `quotient` leaves of a, with the sign of a."""
+    if _positive(a) and _positive(b):
+        return call("mod", a, b)
+    return Formula("-", (a, Formula("*", (b, _quotient(a, b)))))
+
+
+def _positive(formula: Formula) -> bool:
+    """Whether a formula is a positive number, or the time, which begins at 0."""
+    return formula == TIME or (formula.head == "number" and formula.value > 0)
 
 
 def _folded(parts: list[Formula], join: Callable[[Formula, Formula], Formula], empty: Formula) -> Formula:

@@ -1,4 +1,4 @@
-"""Branches of a question: what `max`, `min`, `abs`, `sign` and `if` choose at a point, and the formulas of that choice.
+"""Branches of a question: what `max`, `min`, `abs`, `sign`, `floor` and `if` choose at a point, and the formulas of it.
 
 Each atom with branches has a choice at each point: the number of the argument or of the branch. A choice for every atom
 makes the question smooth (`resolved`). Points are drawn within the declared ranges, so that the choices found are those
@@ -25,7 +25,13 @@ Choice = tuple[int, ...]
 
 Points = Mapping[sympy.Symbol, Array]
 
-_KINDS = (sympy.Piecewise, sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Heaviside, Lookup)
+_KINDS = (sympy.Piecewise, sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Heaviside, sympy.floor, Lookup)
+
+_PIECES = (sympy.floor, Lookup)
+"""Those of many pieces, whose formulas differ in numbers alone: they stay in the formulas."""
+
+_STEPS = 3
+"""So many successive steps of a `floor` get points of their own."""
 
 
 class Branches:
@@ -68,6 +74,8 @@ class Branches:
             return np.asarray(values.argmax(axis=0) if isinstance(atom, sympy.Max) else values.argmin(axis=0))
         if isinstance(atom, Lookup):
             return _part(atom, values)
+        if isinstance(atom, sympy.floor):
+            return np.asarray(np.mod(np.floor(values[0]), _STEPS))
         return np.asarray((values[0] > 0).astype(int))
 
     # ---------------------------------------------------------------- formulas
@@ -80,7 +88,7 @@ class Branches:
         def smooth(e: Expr) -> Expr:
             if e in memo or not e.args:
                 return memo.get(e, e)
-            if e in self._numbers and not isinstance(e, Lookup):
+            if e in self._numbers and not isinstance(e, _PIECES):
                 memo[e] = smooth(_picked(e, choice[self._numbers[e]]))
             elif e.has(*_KINDS):
                 memo[e] = e.func(*(smooth(part) for part in e.args))
@@ -100,7 +108,7 @@ class Branches:
     def unreached(self, reached: Sequence[Choice], generic: Choice) -> Iterator[Choice]:
         """For each argument or branch that no point has shown, and that the ranges do not exclude: such a choice."""
         for k, atom in enumerate(self.atoms):
-            if isinstance(atom, Lookup):  # its polynomials differ in numbers alone
+            if isinstance(atom, _PIECES):
                 continue
             shown = {choice[k] for choice in reached}
             count = len(atom.args) if isinstance(atom, sympy.Piecewise | sympy.Max | sympy.Min) else 2

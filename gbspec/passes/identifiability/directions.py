@@ -130,14 +130,13 @@ def _equations_of(basis: Array) -> Array:
 
 
 def _thresholds(question: Question) -> Array:
-    """Doubt about constants in conditions: data may show where a branch changes, which its formulas do not."""
-    conditions = (
-        condition
-        for expression in (*question.rates, *question.outputs)
-        for atom in expression.atoms(sympy.Piecewise)
-        for _, condition in atom.args
-    )
-    names = {symbol for condition in conditions for symbol in condition.free_symbols}
+    """Doubt about constants in conditions, and in what jumps: data may show where a branch changes, which its formulas
+    do not."""
+    names: set[sympy.Basic] = set()
+    for expression in (*question.rates, *question.outputs):
+        for atom in expression.atoms(sympy.Piecewise):
+            names.update(*(condition.free_symbols for _, condition in atom.args))
+        names.update(*(atom.free_symbols for atom in expression.atoms(sympy.sign, sympy.floor)))
     return np.diag([1.0 if k.symbol in names else 0.0 for k in question.sought])
 
 

@@ -181,6 +181,8 @@ class Evaluation:
                 return np.sign(a[..., :1]) * a
             case "sign":
                 return algebra.constant(np.sign(a[..., 0]))
+            case "floor":
+                return algebra.constant(np.floor(a[..., 0]))
             case "Heaviside":
                 return algebra.constant((a[..., 0] > 0).astype(float))
             case "Min" | "Max":

@@ -31,6 +31,7 @@ _UNARY: Mapping[type[sympy.Basic], Callable[[Tensor], Tensor]] = {
     sympy.atanh: torch.atanh,
     sympy.Abs: torch.abs,
     sympy.sign: torch.sign,
+    sympy.floor: torch.floor,
 }
 
 

@@ -10,15 +10,16 @@ vector.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
+from gbspec.backends import load_module
 from gbspec.data import Trajectories, Trajectory
-from gbspec.ir import Dose, Expr, Model
+from gbspec.ir import Dose, Expr, Model, scheduled, switching_times
 from gbspec.training.problem.delays import echoes, jumps
 
 Integers = NDArray[np.int64]
@@ -104,9 +105,33 @@ def boundaries(item: Trajectory, keys: Array, lags: Lags) -> Array:
     return np.concatenate([[item.start], distinct[distinct > item.start]])
 
 
+def tolerance_of(item: Trajectory) -> float:
+    """Times of a trajectory that differ by no more are one."""
+    return 1e-9 * max(item.end - item.start, abs(item.end), 1e-300)
+
+
+def switches_of(model: Model) -> Callable[[Trajectory], Array]:
+    """The times in a trajectory at which right sides jump, as far as they follow from the time and known constants."""
+    if not scheduled(model):
+        return lambda item: np.zeros(0)
+    module = load_module(model).random(0)
+    fixed = {constant.name: constant.value for constant in model.constants}
+    constants = tuple(np.float64(fixed.get(name, np.nan)) for name in module.constants)
+    equations, m = module.equations, module.arithmetic("numpy")
+
+    def switches(item: Trajectory) -> Array:
+        def values(t: Array) -> Sequence[Array]:
+            found: Sequence[Array] = equations.schedule(m, t, np.asarray(item.condition, dtype=np.float64), constants)
+            return found
+
+        return switching_times(values, equations.whole, item.start, item.end)
+
+    return switches
+
+
 def _distinct(times: Array, keys: Array, item: Trajectory) -> Array:
     """Sorted distinct times; one that is not a key and lies within rounding of another is dropped."""
-    tolerance = 1e-9 * max(item.end - item.start, abs(item.end), 1e-300)
+    tolerance = tolerance_of(item)
     ordered = np.unique(times)
     is_key = np.isin(ordered, keys)
     near = np.zeros(len(ordered), dtype=bool)

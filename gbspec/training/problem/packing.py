@@ -20,8 +20,17 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array
 from gbspec.data import Limits, Trajectories, Trajectory, evaluate
 from gbspec.data import weights as weights_of
-from gbspec.ir import RK4, Method, Model
-from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
+from gbspec.ir import RK4, Method, Model, insets
+from gbspec.training.problem.arrivals import (
+    DoseTable,
+    Integers,
+    Lags,
+    boundaries,
+    dose_table,
+    known_lags,
+    switches_of,
+    tolerance_of,
+)
 from gbspec.training.problem.delays import largest_steps
 
 
@@ -235,7 +244,8 @@ def _plans(
     """The sub-steps of each trajectory, none longer than its shortest delay."""
     lags, limits = known_lags(trajectories, model), largest_steps(trajectories, model, max_step)
     each = zip(trajectories.items, lags, limits, strict=True)
-    return [_plan(item, model, limit, nodes, rng, own) for item, own, limit in each]
+    switches = switches_of(model)
+    return [_plan(item, model, limit, nodes, rng, own, switches(item)) for item, own, limit in each]
 
 
 def _plan(
@@ -245,14 +255,19 @@ def _plan(
     nodes: Sequence[float],
     rng: np.random.Generator | None,
     lags: Lags,
+    switches: Array,
 ) -> _Plan:
     keys = item.times[item.times >= item.start]
-    edges = boundaries(item, keys, lags)
+    edges, away = insets(boundaries(item, keys, lags), switches, tolerance_of(item))
     lengths = [_split(float(b - a), max_step, rng) for a, b in pairwise(edges)]
     counts = np.array([len(x) for x in lengths], dtype=np.int64)
     h = np.concatenate([*lengths, np.zeros(0)])
     t = np.concatenate([a + np.cumsum(x) - x for a, x in zip(edges[:-1], lengths, strict=True)] or [np.zeros(0)])
     arrival = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(counts)])
+    if away.any():
+        t[arrival[:-1]] += away[:-1]
+        h[arrival[:-1]] -= away[:-1]
+        h[arrival[1:] - 1] -= away[1:]
     row_step = arrival[np.searchsorted(edges, keys)]
     kept = item.times >= item.start
     values, sd = item.values[kept], item.sd[kept]

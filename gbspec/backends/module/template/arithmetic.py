@@ -76,7 +76,7 @@ def _torch_arithmetic() -> Any:
         factors = torch.linalg.lu_factor(unit - step * torch.stack(rows, -2))
         return lambda b: torch.linalg.lu_solve(*factors, b.unsqueeze(-1)).squeeze(-1)
 
-    names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign"
+    names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign floor"
     return SimpleNamespace(
         **{name: unary(getattr(torch, name)) for name in names.split()},
         softplus=unary(lambda a: softplus(a, threshold=40.0)),  # torch's default of 20 loses five digits
@@ -120,7 +120,7 @@ def _casadi_arithmetic() -> Any:
         matrix = ca.densify(ca.DM.eye(x.shape[0]) - size * slopes)
         return lambda b: ca.solve(matrix, b, "qr") if isinstance(matrix, ca.MX) else ca.solve(matrix, b)
 
-    names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt sign atan2"
+    names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt sign floor atan2"
     return SimpleNamespace(
         **{name: getattr(ca, name) for name in names.split()},
         softplus=lambda a: ca.if_else(a > 40.0, a, ca.log1p(ca.exp(ca.fmin(a, 40.0)))),
@@ -169,7 +169,8 @@ def _numpy_arithmetic() -> Any:
         matrix = np.eye(x.shape[-1]) - (size[..., None] if np.ndim(size) else size) * np.stack(columns, -1)
         return lambda b: np.linalg.solve(matrix, b[..., None])[..., 0]
 
-    names = "exp log sin cos tan tanh sinh cosh sqrt abs sign minimum maximum logical_and logical_or logical_not where"
+    names = "exp log sin cos tan tanh sinh cosh sqrt abs sign floor minimum maximum where"
+    names += " logical_and logical_or logical_not"
     return SimpleNamespace(
         **{name: getattr(np, name) for name in names.split()},
         **{f"a{name}": getattr(np, f"arc{name}") for name in ["sin", "cos", "tan", "sinh", "cosh", "tanh", "tan2"]},

@@ -1,11 +1,11 @@
-"""Functions that the language does not have: computed where their arguments are constant, else refused."""
+"""Factorials, which the language does not have: computed where their arguments are constant, else refused."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from gbspec.imports.computing import NotConstantError, computed, has_rounding, value_of
+from gbspec.imports.computing import NotConstantError, computed, has_factorial, value_of
 from gbspec.imports.description import Description, Function, Quantity, Report
 from gbspec.imports.formulas import Formula, replaced, substituted
 
@@ -27,33 +27,33 @@ def inlined(formula: Formula, functions: dict[str, Function]) -> Formula:
 
 
 def to_inline(functions: list[Function]) -> dict[str, Function]:
-    """The functions that the language cannot declare: without arguments, or with functions that it does not have."""
+    """The functions that the language cannot declare: without arguments, or with factorials."""
     found: dict[str, Function] = {}
     while True:
         more = {
             one.id: one
             for one in functions
-            if one.id not in found and (not one.arguments or has_rounding(inlined(one.value, found)))
+            if one.id not in found and (not one.arguments or has_factorial(inlined(one.value, found)))
         }
         if not more:
             return found
         found |= more
 
 
-def without_rounding(out: Description, report: Report, place: Place) -> None:
-    """Replaces these functions by numbers in a description; notes each place, and refuses where one is not constant."""
+def without_factorials(out: Description, report: Report, place: Place) -> None:
+    """Replaces factorials by numbers in a description; notes each place, and refuses where one is not constant."""
     known: dict[str, float] = {}
 
     def put(name: str, formula: Formula) -> Formula:
-        if not has_rounding(formula):
+        if not has_factorial(formula):
             return formula
         what, line = place(name)
         try:
             found = computed(formula, known)
-        except NotConstantError as problem:
-            report.refuse(what, line, f"`{problem}` of a quantity that is not constant is not offered yet")
+        except NotConstantError:
+            report.refuse(what, line, "the factorial of a quantity that is not constant has no form in the language")
             return formula
-        report.omit(what, line, "a rounding function of constants is written as its value")
+        report.omit(what, line, "the factorial of a constant is written as its value")
         return found
 
     out.constants = _in_order(out.constants, known, put)
