@@ -16,6 +16,7 @@ from gbspec.ir import METHODS, Model
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import objective, predicted
+from gbspec.training.starts.search import PATIENCE, patience_of
 from tests.backends.same_kernel import compare
 from tests.delays.models import EVERYTHING, MACKEY_GLASS, everything_data
 from tests.training.conftest import model_of, problem_of, trajectory
@@ -210,3 +211,9 @@ def test_predictions_where_nothing_was_measured() -> None:
     graph, ours = (predicted(make(problem, parameters), theta) for make in (torch_engine, native_engine))
     assert np.allclose(graph.mean, ours.mean, rtol=1e-12, atol=1e-13)
     assert np.allclose(graph.before, ours.before, rtol=1e-12, atol=1e-13)
+
+
+def test_a_search_draws_fewer_starts_only_in_the_torch_graph() -> None:
+    problem, parameters, _ = problem_of(model_of(LINEAR), some_data(("x", "before"), 0, 1, 0.4), 0.2, 0, blend=0.0)
+    assert patience_of("normal", native_engine(problem, parameters)) == PATIENCE["normal"]
+    assert patience_of("normal", torch_engine(problem, parameters)).draws < PATIENCE["normal"].draws

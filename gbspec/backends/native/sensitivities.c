@@ -84,6 +84,7 @@ static void seen_before(Work *w, const Forward *f, int64_t s, const Seen *seen) 
         choose(ob, STATES, i);
         zero(xb, STATES * TILE);
         zero(tb, TILE);
+        zero(ub, INPUTS * TILE + 1);
         memset(w->kb, 0, sizeof w->kb);
         history_reverse(w, 0, w->origin, seen->time, seen->inputs, ob, xb, w->kb, tb, ub);
         for (int t = 0; t < TILE; t++) {
