@@ -11,12 +11,19 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from gbspec.api import Specification
 from gbspec.arrays import Array
+from gbspec.backends import load_module
+from gbspec.data import Trajectories, Trajectory
 from gbspec.ir import Model
+from gbspec.training.engines import Choice, Engine, TorchEngine, half_squares, linearise
+from gbspec.training.engines.native import Kernel, NativeEngine, kernel_of
+from gbspec.training.problem import Parameters, Problem, default_max_step, pack, scaling_of, teacher_forcing
 
 TEXT = """model mackey_glass
 time t from 0
@@ -37,7 +44,7 @@ TIMES = np.linspace(0.0, 80.0, 9)
 
 def orders(tau: float = 17.3) -> str:
     """The largest errors of solutions at several steps, with and without steps that begin where the start shows."""
-    from gbspec.backends import Evaluator, load_module
+    from gbspec.backends import Evaluator
 
     with tempfile.TemporaryDirectory() as folder:
         model = _model(Path(folder), tau)
@@ -53,11 +60,6 @@ def orders(tau: float = 17.3) -> str:
 def _solved(model: Model, tau: float, step: float, cut: bool) -> Array:
     """The solution of the torch engine at `TIMES`."""
     from dataclasses import replace
-
-    from gbspec.backends import load_module
-    from gbspec.data import Trajectories, Trajectory
-    from gbspec.training.engines import Choice
-    from gbspec.training.problem import Parameters, Problem, pack, scaling_of, teacher_forcing
 
     values = np.full((len(TIMES), 1), 0.5)
     item = Trajectory("1", 0.0, TIMES, values, np.ones_like(values), np.full_like(values, np.nan), np.zeros(0))
@@ -94,21 +96,95 @@ def fits(taus: tuple[float, ...]) -> str:
             specification = gbspec.load(Path(folder) / "mackey_glass.gb")
             data = specification.simulate(trajectories=1, span=200, dt=2, seed=1)
             begun = time.process_time()
-            run = specification.train(data, Path(folder) / "run", seed=0, stages="least squares")
+            run = specification.train(data, Path(folder) / "run", seed=0)
             found = run.constants
             spent = time.process_time() - begun
         lines.append(f"| {tau:g} | {found['tau']:.8g} | {found['beta']:.8g} | {found['gamma']:.8g} | {spent:.0f} |")
     return "\n".join(lines)
 
 
+def _bound(model: Model, data: Trajectories) -> tuple[Problem, Parameters, Array]:
+    """Whole solutions with the steps of a fit, at random weights and the declared constants."""
+    module = load_module(model).random(0)
+    packed = pack(data, model, default_max_step(data))
+    problem = Problem(model, module, packed, teacher_forcing(model, packed, 0.0), scaling_of(model, packed, data))
+    known = np.array([[0.0 if state.initial.known else 1.0 for state in model.states]])
+    shape = len(data), len(model.states)
+    fixed = {name: value for name, value in module.weights.items() if name.endswith(("_center", "_scale"))}
+    parameters = Parameters(model, np.full(shape, 0.5), np.ones(shape[1]), np.repeat(known, len(data), 0), fixed)
+    return problem, parameters, parameters.vector(module.weights)
+
+
+def _measured(
+    specification: Specification, data: Trajectories, rounds: int, folder: Path
+) -> Mapping[str, tuple[float, float]]:
+    """Seconds by the torch graph and by the kernel."""
+    model = specification.model
+    problem, parameters, theta = _bound(model, data)
+    kernel = kernel_of(model, type(problem.module))
+    assert isinstance(kernel, Kernel), kernel
+    engines = TorchEngine(problem, parameters), NativeEngine(problem, parameters, kernel)
+    work: dict[str, Callable[[Engine], object]] = {
+        "loss and gradient": lambda engine: half_squares(engine, theta),
+        "Jacobian": lambda engine: linearise(engine, theta),
+    }
+    spent: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in work}
+    for name, call in work.items():
+        for engine in engines:
+            call(engine)
+        for _ in range(rounds):
+            for engine, own in zip(engines, spent[name], strict=True):
+                begun = time.perf_counter()
+                call(engine)
+                own.append(time.perf_counter() - begun)
+    found = {name: (float(np.median(torch)), float(np.median(own))) for name, (torch, own) in spent.items()}
+    whole = []
+    for backend in ("torch", "native"):
+        begun = time.process_time()
+        specification.train(data, folder / f"{model.name} {backend}", seed=0, members=1, backend=backend)
+        whole.append(time.process_time() - begun)
+    return found | {"fit, all options the defaults": (whole[0], whole[1])}
+
+
+def times(rounds: int) -> str:
+    """Medians of a loss with its gradient and of a Jacobian, and the processor time of a whole fit, by turns."""
+    import gbspec
+
+    lines = ["| model | | torch graph | kernel | ratio |", "|---|---|---:|---:|---:|"]
+    with tempfile.TemporaryDirectory() as folder:
+        _model(Path(folder), 17.0)
+        glass, cells = gbspec.load(Path(folder) / "mackey_glass.gb"), gbspec.load("haematopoiesis")
+        given = (
+            (glass, glass.simulate(trajectories=1, span=200, dt=2, seed=1)),
+            (cells, cells.simulate(trajectories=4, span=80, dt=2, sampling="regular", noise=0.01)),
+        )
+        for specification, data in given:
+            for what, spent in _measured(specification, data, rounds, Path(folder)).items():
+                torch, kernel = (f"{value:.3g} s" if value >= 1 else f"{1e3 * value:.3g} ms" for value in spent)
+                name = specification.model.name
+                lines.append(f"| `{name}` | {what} | {torch} | {kernel} | {spent[0] / spent[1]:.0f} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
-    """Writes both tables."""
+    """Writes the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--taus", type=float, nargs="*", default=[8.0, 17.0, 30.0])
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--only", choices=("orders", "fits", "times"), default=None)
     given = parser.parse_args()
-    given.output.write_text(f"{orders()}\n\n{fits(tuple(given.taus))}\n", encoding="utf-8")
+    parts = {
+        "orders": orders,
+        "fits": lambda: fits(tuple(given.taus)),
+        "times": lambda: times(given.rounds),
+    }
+    found = [part() for name, part in parts.items() if given.only in (None, name)]
+    given.output.write_text("\n\n".join(found) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
+    import torch
+
+    torch.set_num_threads(1)
     main()

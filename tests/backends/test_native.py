@@ -101,9 +101,8 @@ def quick(kernels: Path) -> Iterator[None]:
 
 
 # The stiff ones overflow in explicit steps; tests/training/test_adaptive_steps.py compares their own, and
-# tests/events/test_kernel.py the switching ones. Delays look at the solution before, and algebraic equations are solved
-# by a search.
-WITHOUT_KERNEL = ("robertson", "switching", "chemistry", "delayed")
+# tests/events/test_kernel.py the switching ones. Algebraic equations are solved by a search.
+WITHOUT_KERNEL = ("robertson", "switching", "chemistry")
 SHIPPED = sorted(name for name, path in shipped_models().items() if path.parent.name not in WITHOUT_KERNEL)
 
 

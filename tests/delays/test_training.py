@@ -10,6 +10,7 @@ import gbspec
 from gbspec.data import MetricsOptions
 from gbspec.diagnostics import UserError
 from gbspec.frontend import load_model
+from gbspec.training.options import Backend
 from tests import quick
 from tests.delays.models import MACKEY_GLASS
 
@@ -32,10 +33,12 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_delay_is_recovered_from_data_without_noise(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("quick_fit")
+@pytest.mark.parametrize("backend", ["torch", "native"])
+def test_a_delay_is_recovered_from_data_without_noise(tmp_path: Path, backend: Backend) -> None:
     specification = gbspec.load(written(tmp_path, MACKEY_GLASS))
     data = specification.simulate(trajectories=1, span=60, dt=3, sampling="regular")
-    run = specification.train(data, tmp_path / "run", stages="least squares", max_step=1.0)
+    run = specification.train(data, tmp_path / "run", stages="least squares", max_step=1.0, backend=backend)
     assert run.constants["tau"] == pytest.approx(17.0, rel=1e-4)
     assert run.constants["beta"] == pytest.approx(0.2, rel=1e-3)
 
@@ -59,8 +62,6 @@ def test_what_is_not_offered_is_refused(tmp_path: Path) -> None:
     data = specification.simulate(trajectories=1, span=20, dt=5)
     with pytest.raises(UserError, match="GB768"):
         specification.train(data, tmp_path / "run", solver="ros34pw2")
-    with pytest.raises(UserError, match="GB863"):
-        specification.train(data, tmp_path / "run", backend="native")
     with pytest.raises(UserError, match="GB808"):
         specification.export(tmp_path / "model.c", "c")
 

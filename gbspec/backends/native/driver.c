@@ -1,25 +1,31 @@
 /* The unroll: tiles of TILE trajectories, each with its whole solution and reverse pass. */
 
-/* `states` is NULL where sub-steps are solved again. */
-static void forward_to_checkpoint(Work *w, int64_t begin, int64_t end, real *x, const Outputs *out, double *states) {
+/* `again`: the sub-steps were solved before. */
+static void forward_to_checkpoint(Work *w, int64_t begin, int64_t end, real *x, const Outputs *out, int again) {
     for (int64_t s = begin; s < end; s++) {
         step_forward(w, s, (size_t)(s - begin), x);
 #if EVENTS
-        if (states) count_events(w, out);
+        if (!again) count_events(w, out);
 #endif
         memcpy(w->reached + (size_t)(s - begin) * STATES * TILE, x, STATES * TILE * sizeof(real));
-        arrive(w, s + 1, x, out->residuals, states);
+#if DELAYS
+        see_end(w, (size_t)(s - begin));
+#endif
+        arrive(w, s + 1, x, out, again);
     }
 }
 
 static void reverse_to_checkpoint(Work *w, int64_t begin, int64_t end, const double *cotangent, real *xb) {
     for (int64_t s = end - 1, pending = 0; s >= begin; s--) {
         const size_t slot = (size_t)(s - begin);
+#if DELAYS
+        see_end(w, slot);
+#endif
         arrive_reverse(w, s + 1, w->reached + slot * STATES * TILE, cotangent, xb);
         step_reverse(w, s, slot, xb);
         /* The weights' products are deferred over some steps, so that a block of sums stays in registers for longer. */
         if (++pending == WEIGHT_STEPS || s == begin) {
-            for (int i = 0; i < RHS_SITES && !EVENTS; i++) /* with events `step_reverse` has formed them */
+            for (int i = 0; i < RHS_SITES && PLAIN; i++) /* else `step_reverse` has formed them */
                 if (kept(i))
                     net_gradient(w->sites[i].net, &w->sites[i], slot * STAGES * TILE, (size_t)pending * STAGES * TILE, 1);
             pending = 0;
@@ -34,25 +40,38 @@ static void run_tile(Work *w, const Share *share, const Outputs *out) {
         for (int t = 0; t < TILE; t++) x[i * TILE + t] = R(initial[w->who[t] * STATES + i]);
     memcpy(start, x, sizeof start);
     invariant_forward(w);
-    arrive(w, 0, x, out->residuals, out->states);
+#if DELAYS
+    begin_past(w, x);
+    see_start(w);
+#endif
+    arrive(w, 0, x, out, 0);
     for (int64_t begin = 0; begin < w->depth; begin += w->checkpoint_interval) {
         const int64_t end = next_checkpoint(w, begin);
         memcpy(checkpoint_at(w, begin), x, sizeof x);
-        forward_to_checkpoint(w, begin, end, x, out, out->states);
+        forward_to_checkpoint(w, begin, end, x, out, 0);
     }
     if (!share->gradient) return;
     zero(xb, STATES * TILE);
     memset(w->kb, 0, sizeof w->kb);
     invariant_start(w);
+#if DELAYS
+    clear_bars(w);
+#endif
     for (int64_t begin = last_checkpoint(w); begin >= 0; begin -= w->checkpoint_interval) {
         const int64_t end = next_checkpoint(w, begin);
         if (end < w->depth) {
             memcpy(x, checkpoint_at(w, begin), sizeof x);
-            forward_to_checkpoint(w, begin, end, x, out, NULL);
+            forward_to_checkpoint(w, begin, end, x, out, 1);
         }
         reverse_to_checkpoint(w, begin, end, share->cotangent, xb);
     }
+#if DELAYS
+    see_start(w);
+#endif
     arrive_reverse(w, 0, start, share->cotangent, xb);
+#if DELAYS
+    see_start_back(w, xb);
+#endif
     for (int i = 0; i < RHS_SITES; i++)
         if (SITE_INVARIANT[i]) {
             net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
@@ -63,6 +82,9 @@ static void run_tile(Work *w, const Share *share, const Outputs *out) {
         if (!w->active[t]) continue;
         for (int i = 0; i < STATES; i++) out->d_initial[w->who[t] * STATES + i] = xb[i * TILE + t];
         for (int i = 0; i < LEARNABLES; i++) out->d_constants[w->who[t] * LEARNABLES + i] = w->kb[i * TILE + t];
+#if DELAYS
+        for (int i = 0; i < LAGS; i++) out->d_lags[w->who[t] * LAGS + i] = w->lag_bar[i * TILE + t];
+#endif
     }
 }
 

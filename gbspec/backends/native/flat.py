@@ -17,7 +17,7 @@ from gbspec.backends.printing import RECIPROCAL, Guard, Where, guarded, rebuild,
 from gbspec.diagnostics import Defect
 from gbspec.ir import NN, Expr, Model, Unknown, described, has_rule, ordered
 
-Kind = Literal["state", "condition", "input", "constant", "time", "number", "algebraic"]
+Kind = Literal["state", "condition", "input", "delay", "constant", "time", "number", "algebraic"]
 
 
 class NotCoveredError(Exception):
@@ -210,6 +210,7 @@ def _leaves(model: Model) -> dict[sympy.Symbol, Leaf]:
         ("state", [item.symbol for item in model.states]),
         ("condition", [item.symbol for item in model.conditions]),
         ("input", [item.symbol for item in model.inputs]),
+        ("delay", [item.symbol for item in model.delays]),
         ("constant", [item.symbol for item in (*model.constants, *model.learnables)]),
         ("time", [model.time.symbol]),
         ("algebraic", [item.symbol for item in model.algebraics]),

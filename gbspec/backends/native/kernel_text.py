@@ -10,7 +10,7 @@ from importlib import resources
 from itertools import pairwise
 from typing import Literal, assert_never
 
-from gbspec.backends.native import events
+from gbspec.backends.native import delays, events
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.lookups import table_functions
 from gbspec.backends.native.sections import Equations, Site
@@ -35,12 +35,14 @@ RHS_PLACES = {
     "state": "x[{}*TILE + t]",
     "condition": "w->condition[{}*TILE + t]",
     "input": "inputs[{}*TILE + t]",
+    "delay": "inputs[(INPUTS + {})*TILE + t]",
     "constant": "w->constants[{}*TILE + t]",
     "time": "time[t]",
     "number": "w->numbers[{}]",
 }
 OBSERVE_PLACES = RHS_PLACES | {
     "input": "R(w->data->row_inputs[(size_t)w->rows[t]*INPUTS + {}])",
+    "delay": "w->seen[{}*TILE + t]",
     "time": "R(w->data->row_time[w->rows[t]])",
 }
 
@@ -57,24 +59,28 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a model that torch must run."""
     _check(model)
     events.check(model, precision, method)
+    delays.check(model, method)
     balances = flatten(model, model.balances)
-    once = not model.events  # steps that events cut are taken again one by one in the reverse pass
+    # Steps that events cut are taken again one by one in the reverse pass; those with delays form their own products.
+    once = not model.events and not model.delays
     rhs = Equations(model, balances, 0, _places(RHS_PLACES), "rhs", once=once, timed=_timed(model))
+    late = delays.Late(model, method, len(rhs.sites), _places(RHS_PLACES))
     observe = Equations(
         model,
         flatten(model, [channel.value for channel in model.channels]),
-        len(rhs.sites),
+        len(rhs.sites) + len(late.sites),
         _places(OBSERVE_PLACES),
         "observe",
         skip="w->rows[t] < 0",
+        late_bar="w->seen_bar[{}*TILE + t]",
     )
-    numbers = _numbers(model, precision, method, rhs, observe)
+    numbers = _numbers(model, precision, method, late, [*rhs.sites, *late.sites], observe.sites)
     head = [
         *(f"#include <{name}.h>" for name in ("math", "stddef", "stdint", "string")),
         "",
         *(f"#define {name} {value}" for name, value in numbers.items()),
         *_tableau(method),
-        *_sites([*rhs.sites, *observe.sites]),
+        *_sites([*rhs.sites, *late.sites, *observe.sites]),
         "",
         *declarations(),
         "",
@@ -83,10 +89,13 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     if model.events:
         before.insert(2, "crossing")
         after[1:1] = ["events", "events_reverse"]
+    if model.delays:
+        after[1:1] = ["delays", "delays_reverse"]
     # Only least-squares fits need the Jacobian, and they run in double precision.
-    after += ["jacobian"] if precision == "float64" else []
-    after += ["control"] if precision == "float64" and method.b_error and not model.events else []
-    own = [*_equations(model, rhs, observe), *events.functions(model, _places(RHS_PLACES))]
+    jacobian = "sensitivities" if model.delays else "jacobian"
+    after += ["trained", jacobian] if precision == "float64" else []
+    after += ["control"] if _plans(model, precision, method) else []
+    own = [*_equations(model, rhs, observe), *late.lines, *events.functions(model, _places(RHS_PLACES))]
     parts = [*map(_text, before), *table_functions(model.tables), *own, *map(_text, after)]
     return Source(
         "\n".join([*head, *parts]), {name: value for name, value in numbers.items() if isinstance(value, int)}
@@ -104,15 +113,18 @@ def _check(model: Model) -> None:
             raise NotCoveredError(f"the network `{network.name}` has too many layers or arguments")
     if not model.states:
         raise NotCoveredError("it has no states")
-    if model.delays:
-        raise NotCoveredError("it has delays, for which steps look at the solution before")
     if model.algebraics:
         raise NotCoveredError("it has algebraic variables, which a search finds in every step")
 
 
+def _plans(model: Model, precision: Precision, method: Method) -> bool:
+    """Whether the kernel can choose adaptive steps."""
+    return precision == "float64" and method.b_error is not None and not model.events and not model.delays
+
+
 def _timed(model: Model) -> bool:
     """Whether learned quantities, the lags of doses or the times of events, move the starts of sub-steps."""
-    if model.events:
+    if model.events or model.delays:
         return True
     learned = {learnable.symbol for learnable in model.learnables}
     return any(dose.lag.free_symbols & learned for dose in model.doses)
@@ -124,11 +136,11 @@ def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
 
 
 def _numbers(
-    model: Model, precision: Precision, method: Method, rhs: Equations, observe: Equations
+    model: Model, precision: Precision, method: Method, late: delays.Late, kept: Sequence[Site], others: Sequence[Site]
 ) -> dict[str, int | float]:
-    sites = len(rhs.sites) + len(observe.sites)
     size = 8 if precision == "float64" else 4
-    tile = 1 if model.events else TILE  # each trajectory is cut at times of its own
+    # Events cut each trajectory at times of its own, and scalar equations gain nothing where delays differ by lane.
+    tile = 1 if model.events or (model.delays and not model.networks) else TILE
     per_step = 4 * tile * max([n for network in model.networks for n in network.hidden] or [1]) * size
     return {
         "REAL_IS_FLOAT": int(precision == "float32"),
@@ -142,13 +154,16 @@ def _numbers(
         "NETWORKS": len(model.networks),
         "WEIGHTS": sum((a + 1) * b for network in model.networks for a, b in pairwise(network.sizes)),
         "NUMBERS": len(numbers_of(model)),
-        "RHS_SITES": len(rhs.sites),
-        "SITES": sites,
+        "RHS_SITES": len(kept),
+        "SITES": len(kept) + len(others),
         "TIMED": int(_timed(model)),
         "STAGES": method.advancing,
+        "EVALUATIONS": method.advancing + bool(model.delays),
         "NODES": len(method.nodes),
         "KEPT_BYTES": KEPT_BYTES,
         **events.sizes(model),
+        **late.sizes,
+        "GIVEN": len(model.inputs) + len(model.delays),
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
         "LOG_FLOOR": LOG_FLOOR,
         "LEAST_SIZE": LEAST_SIZE,

@@ -100,6 +100,14 @@ class Library:
         """Chains the derivatives of intervals and computes those of the residuals."""
         self._library.chain(links.pointer)
 
+    def sensitivity_bytes(self, depth: int, columns: int, window: int) -> int:
+        """Bytes of work space of `sensitivities` for trajectories of at most `depth` sub-steps."""
+        return int(self._library.sensitivity_bytes(depth, columns, window))
+
+    def sensitivities(self, data: Struct, inputs: Struct, given: Struct, space: AnyArray) -> None:
+        """Computes the derivatives of measured values, in models with delays."""
+        self._library.sensitivities(data.pointer, inputs.pointer, given.pointer, space.ctypes.data)
+
     def control(self, data: Struct, inputs: Struct, walk: Struct, space: AnyArray) -> bool:
         """Finds the steps of a tile of trajectories; whether there was room for all."""
         return bool(self._library.control(data.pointer, inputs.pointer, walk.pointer, space.ctypes.data))

@@ -54,7 +54,17 @@ static double residual(const Data *d, size_t row, int channel, double predicted,
     return side ? censored(plain, side, d->level[channel], slope) : plain;
 }
 
-static void arrive(Work *w, int64_t s, real *x, double *residuals, double *states) {
+/* The resets at a key row. A full one discards the state, even if it is infinite. */
+static void reset(const Data *d, size_t row, int t, real *x) {
+    for (int i = 0; i < STATES; i++) {
+        real *state = &x[i * TILE + t];
+        const real weight = R(d->weight[row * STATES + i]), left = R(1) - weight;
+        if (weight != R(0)) *state = weight * R(d->value[row * STATES + i]) + (left == R(0) ? R(0) : left * *state);
+    }
+}
+
+/* `again`: sub-steps are solved again, and states are not stored. */
+static void arrive(Work *w, int64_t s, real *x, const Outputs *out, int again) {
     const Data *d = w->data;
     real predicted[CHANNELS * TILE];
     double slope;
@@ -64,14 +74,12 @@ static void arrive(Work *w, int64_t s, real *x, double *residuals, double *state
         if (w->rows[t] < 0) continue;
         const size_t row = w->rows[t];
         for (int i = 0; i < CHANNELS; i++)
-            residuals[row * CHANNELS + i] = residual(d, row, i, predicted[i * TILE + t], &slope);
-        for (int i = 0; i < STATES; i++) {
-            real *state = &x[i * TILE + t];
-            if (states) states[row * STATES + i] = *state;
-            const real weight = R(d->weight[row * STATES + i]), left = R(1) - weight;
-            /* A full reset discards the state, even if it is infinite. */
-            if (weight != R(0)) *state = weight * R(d->value[row * STATES + i]) + (left == R(0) ? R(0) : left * *state);
-        }
+            out->residuals[row * CHANNELS + i] = residual(d, row, i, predicted[i * TILE + t], &slope);
+        for (int i = 0; i < STATES && !again; i++) out->states[row * STATES + i] = x[i * TILE + t];
+#if DELAYS
+        for (int i = 0; i < DELAYS; i++) out->late[row * DELAYS + i] = w->seen[i * TILE + t];
+#endif
+        reset(d, row, t, x);
     }
 }
 
@@ -79,6 +87,9 @@ static void arrive(Work *w, int64_t s, real *x, double *residuals, double *state
 static void arrive_reverse(Work *w, int64_t s, const real *x, const double *cotangent, real *xb) {
     const Data *d = w->data;
     real predicted[CHANNELS * TILE], ob[CHANNELS * TILE];
+#if DELAYS
+    zero(w->seen_bar, DELAYS * TILE);
+#endif
     if (!find_rows(w, s)) return;
     observe_forward(w, 0, x, predicted);
     for (int t = 0; t < TILE; t++) {

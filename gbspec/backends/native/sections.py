@@ -37,7 +37,8 @@ class Equations:
 
     `place` gives the C text of a leaf; `outputs` are written to `out`, cotangents read from `ob`, both [output][lane].
     `skip` is a condition under which a lane is skipped (its networks get zeros). `once`: loop-invariant calls are made
-    separately, by `invariant_forward`; `timed`: `tb` and `ub` get the cotangents of time and inputs.
+    separately, by `invariant_forward`; `timed`: `tb` and `ub` get the cotangents of time and inputs; `late_bar`: the C
+    text of those of delayed values.
     """
 
     def __init__(
@@ -50,9 +51,10 @@ class Equations:
         skip: str = "",
         once: bool = False,
         timed: bool = False,
+        late_bar: str = "ub[(INPUTS + {})*TILE + t]",
     ) -> None:
         self.model, self.flat, self.place, self.name, self.skip = model, flat, place, name, skip
-        self.timed = timed
+        self.timed, self.late_bar = timed, late_bar
         self._names: dict[sympy.Symbol, str] = {}
         self._maker = {step.symbol: step for step in flat.steps if isinstance(step, Operation)}
         self._results = {s: (call, i) for call in flat.calls for i, s in enumerate(call.results)}
@@ -79,9 +81,9 @@ class Equations:
         and whether it varies (it changes in time, or is active)."""
         for symbol, leaf in self.flat.leaves.items():
             learned = leaf.kind == "constant" and leaf.index >= self._known
-            if leaf.kind == "state" or learned or (self.timed and leaf.kind in ("time", "input")):
+            if leaf.kind in ("state", "delay") or learned or (self.timed and leaf.kind in ("time", "input")):
                 self._active.add(symbol)
-            if leaf.kind in ("state", "time", "input") or learned:
+            if leaf.kind in ("state", "delay", "time", "input") or learned:
                 self._moving.add(symbol)
         for step in self.flat.steps:
             if isinstance(step, Call):
@@ -266,4 +268,6 @@ class Equations:
             return [f"tb[t] += {text};"]
         if leaf.kind == "input":
             return [f"ub[{leaf.index}*TILE + t] += {text};"]
+        if leaf.kind == "delay":
+            return [f"{self.late_bar.format(leaf.index)} += {text};"]
         return [f"kb[{leaf.index - self._known}*TILE + t] += {text};"]

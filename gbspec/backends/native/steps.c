@@ -1,4 +1,7 @@
-/* One step of a tile, forward and in reverse, with the doses that arrive at its start. */
+/* One step of a tile, forward and in reverse, with the doses that arrive at its start. Models with events or delays have
+   steps of their own, which share some functions. */
+
+#define PLAIN (!EVENTS && !DELAYS)
 
 /* Clears, before a reverse pass, the output cotangents of the calls that are made once for a tile. */
 static void invariant_start(Work *w) {
@@ -16,7 +19,7 @@ static void set_lane(Work *w, int t, int64_t who, int64_t first, int64_t steps) 
     for (int i = 0; i < CONSTANTS; i++) w->constants[i * TILE + t] = R(w->inputs->constants[who * CONSTANTS + i]);
 }
 
-#if !EVENTS
+#if PLAIN
 typedef struct {
     real h[TILE], time[STAGES][TILE], inputs[STAGES][INPUTS * TILE + 1];
 } Step;
@@ -107,7 +110,7 @@ static void divide_lanes(const Work *w, int64_t s, int transposed, real *vector)
 }
 #endif
 
-#if !EVENTS
+#if PLAIN
 static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
     Step step;
     real k[STAGES][STATES * TILE], sum[STATES * TILE];
@@ -146,7 +149,7 @@ static int32_t cut_of(const Work *w, int64_t s, int t) {
 
 static const real *rate(const Work *w, size_t slot, int q) { return w->rates + (slot * STAGES + q) * (STATES * TILE); }
 
-#if !EVENTS
+#if PLAIN
 /* Whether an arrival moves the start or the end of a lane's step s. */
 static int at_cut(const Work *w, int64_t s) {
     for (int t = 0; t < TILE; t++)
@@ -179,7 +182,7 @@ static void length_reverse(double weight, const real *bar, const real *rates, re
     for (int i = 0; weight != 0 && i < STATES * TILE; i++) hb[i % TILE] += bar[i] * R(weight) * rates[i];
 }
 
-#if !EVENTS
+#if PLAIN
 /* `xb`: on entry the cotangent of the state after the step, on return of that before the arrivals at its start. */
 static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
     Step step;

@@ -65,6 +65,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
     "Data": (
         Field("depth", "most sub-steps of a trajectory"),
         Field("trajectories"),
+        Field("forced", "whether measurements reset any state"),
         _reals("t", "trajectories, depth", "starts of sub-steps"),
         _reals("h", "trajectories, depth", "their lengths"),
         _reals("inputs", "trajectories, depth, NODES, INPUTS"),
@@ -83,6 +84,8 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _places("arrival_cuts", "arrivals", "whether it moves the start of its sub-step", optional=True),
         _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, if sub-steps are cut", optional=True),
         _reals("band", "one", "near the end of a sub-step, in which events wait for the next one", optional=True),
+        _reals("begin", "trajectories", "their starts, for delays", optional=True),
+        _reals("before", "trajectories, INPUTS", "inputs before these", optional=True),
         _places("logarithmic", "CHANNELS"),
         _places("side", "rows, CHANNELS", "of a limit that values lie on: -1, 1; 0: no limit", optional=True),
         _reals("level", "CHANNELS", "standard deviation of noise in units of residuals, 0: not known", optional=True),
@@ -96,6 +99,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _reals("constants", "trajectories, CONSTANTS"),
         _reals("initial", "trajectories, STATES"),
         _reals("amounts", "arrivals", "added to the state"),
+        _reals("lags", "trajectories, LAGS", "the times of delays, each once"),
     ),
     # The share of a call of `run`: every `stride`-th tile of `order`, beginning with `first`.
     "Share": (
@@ -116,6 +120,8 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _found("d_initial", "trajectories, STATES"),
         _found("d_amounts", "arrivals"),
         _found("d_times", "arrivals", "added to, if TIMED: for arrivals that cut sub-steps"),
+        _found("d_lags", "trajectories, LAGS"),
+        _found("late", "rows, DELAYS", "delayed values"),
         Field("happened", "how often each event happens", "int32_t", "trajectories, EVENTS", written=True),
         Field("endless", "whether events have no end", "int32_t", "trajectories", written=True),
     ),
@@ -136,6 +142,22 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _found("d_constants", "count, STATES, LEARNABLES", "added to"),
         _found("d_amounts", "STATES, arrivals"),
         _found("d_times", "STATES, arrivals", "added to"),
+    ),
+    # Derivatives of the measured values of whole trajectories, in models with delays. Columns: learnable constants in
+    # natural units, initial states, and the weights, if there are so many columns.
+    "Sensitivities": (
+        Field("count"),
+        Field("columns"),
+        Field("window", "sub-steps that the longest delay looks back, and a few more"),
+        _wholes("order", "count", "trajectories"),
+        _reals("factor", "WEIGHTS", "see `write_lane`"),
+        _reals("shift", "WEIGHTS"),
+        _reals("of_amounts", "arrivals, LEARNABLES", "derivatives of what arrives"),
+        _reals("of_times", "arrivals, LEARNABLES", "and of its time"),
+        _reals("of_lags", "trajectories, LAGS, LEARNABLES"),
+        _places("place", "rows, CHANNELS", "row of the Jacobian, -1: none"),
+        _reals("scale", "rows, CHANNELS", "factor of this row"),
+        _found("out", "residuals, columns"),
     ),
     # Derivatives of intervals and of the residuals at their ends.
     "Links": (
@@ -178,6 +200,8 @@ FUNCTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "interval_bytes": ("int64_t", ("int64_t depth",)),
     "intervals": ("void", ("Data", "Inputs", "Intervals", SPACE)),
     "chain": ("void", ("Links",)),
+    "sensitivity_bytes": ("int64_t", ("int64_t depth", "int64_t columns", "int64_t window")),
+    "sensitivities": ("void", ("Data", "Inputs", "Sensitivities", SPACE)),
     "control": ("int64_t", ("Data", "Inputs", "Walk", SPACE)),
 }
 """The exported functions: the type of the result and the parameters, structs by their names."""

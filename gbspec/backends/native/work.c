@@ -9,11 +9,20 @@ typedef struct {
     int64_t who[TILE], first[TILE], steps[TILE], depth; /* a lane's trajectory, first sub-step, number of them */
     int64_t checkpoint_interval;
     int active[TILE], rows[TILE];
-    real *states;      /* [checkpoint_interval*STAGES][STATES][TILE]: where the right-hand side was evaluated */
+    real *states;      /* [checkpoint_interval*EVALUATIONS][STATES][TILE]: where the right-hand side was evaluated */
     real *rates;       /* [checkpoint_interval*STAGES][STATES][TILE] if TIMED: values of the right-hand side */
     real *reached;     /* [checkpoint_interval][STATES][TILE]: states at the ends of steps */
     real *checkpoints; /* [checkpoints][STATES][TILE] */
     real begun[STATES * TILE]; /* state at the start of the first step */
+#if DELAYS
+    real *late;              /* [checkpoint_interval][NODES][DELAYS][TILE]: delayed values at the nodes */
+    real *pieces, *piece_bars; /* [depth][PARTS][STATES][TILE]: the solution so far, and its cotangents */
+    double *time_bars;       /* [depth][2][TILE]: cotangents of starts and lengths of sub-steps */
+    int64_t hint[LAGS * TILE];
+    double lag_bar[LAGS * TILE];
+    real origin[STATES * TILE], origin_bar[STATES * TILE]; /* initial states, before what arrives */
+    real seen[DELAYS * TILE], seen_bar[DELAYS * TILE];     /* delayed values of observations */
+#endif
 #if EVENTS
     real *starts; /* [checkpoint_interval][STATES]: states at the starts of steps */
     Crossing *crossing;
@@ -68,20 +77,26 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     w->totals = take(&place, w->n_gradients * sizeof(double));
     /* Stored for each step: the states of its Runge-Kutta stages and at its end, and arguments, activations and outputs
        of every call. */
-    size_t step = ((TIMED ? 2 : 1) * STAGES + 1) * STATES * TILE;
+    size_t step = (EVALUATIONS + (TIMED ? STAGES : 0) + 1) * STATES * TILE + NODES * DELAYS * TILE;
     for (int i = 0; i < SITES; i++) {
         const Net *net = &w->nets[SITE_NETWORK[i]];
         size_t row = net->size[0] + 2 * net->size[net->layers];
         for (int l = 1; l < net->layers; l++) row += 2 * PAD(net->size[l]);
-        if (kept(i)) step += row * TILE * STAGES;
+        if (kept(i)) step += row * TILE * EVALUATIONS;
     }
     w->checkpoint_interval = (int64_t)(KEPT_BYTES / (step * sizeof(real)));
     if (w->checkpoint_interval > depth) w->checkpoint_interval = depth;
     if (w->checkpoint_interval < 1) w->checkpoint_interval = 1;
-    w->states = take_real(&place, (size_t)w->checkpoint_interval * STAGES * STATES * TILE);
+    w->states = take_real(&place, (size_t)w->checkpoint_interval * EVALUATIONS * STATES * TILE);
     w->rates = TIMED ? take_real(&place, (size_t)w->checkpoint_interval * STAGES * STATES * TILE) : NULL;
     w->reached = take_real(&place, (size_t)w->checkpoint_interval * STATES * TILE);
     w->checkpoints = take_real(&place, (size_t)(depth / w->checkpoint_interval + 2) * STATES * TILE);
+#if DELAYS
+    w->late = take_real(&place, (size_t)w->checkpoint_interval * NODES * DELAYS * TILE);
+    w->pieces = take_real(&place, (size_t)depth * 4 * STATES * TILE);
+    w->piece_bars = take_real(&place, (size_t)depth * 4 * STATES * TILE);
+    w->time_bars = take(&place, (size_t)depth * 2 * TILE * sizeof(double));
+#endif
 #if EVENTS
     w->starts = take_real(&place, (size_t)w->checkpoint_interval * STATES);
     w->crossing = take(&place, sizeof(Crossing));
@@ -89,7 +104,7 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     for (int i = 0; i < SITES; i++) {
         Site *site = &w->sites[i];
         const Net *net = site->net = &w->nets[SITE_NETWORK[i]];
-        const size_t n = (kept(i) ? (size_t)w->checkpoint_interval * STAGES : 1) * TILE;
+        const size_t n = (kept(i) ? (size_t)w->checkpoint_interval * EVALUATIONS : 1) * TILE;
         const size_t in = net->size[0], out = net->size[net->layers];
         site->args = take_real(&place, n * in);
         site->ab = take_real(&place, TILE * in);

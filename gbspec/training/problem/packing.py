@@ -106,6 +106,16 @@ class Packed:
         begins = np.where(self.row_index == 0, 0, self.row_step[self.previous_row])
         return np.asarray(begins, dtype=np.int64)
 
+    @property
+    def inputs_before(self) -> Array:
+        """The inputs that hold before the start of each trajectory [N, n_inputs]: those at its start."""
+        first, moving = self.row_index == 0, self.steps > 0
+        found = np.zeros((self.trajectories, self.row_inputs.shape[1]))
+        found[self.row_trajectory[first]] = self.row_inputs[first]  # which is at the start, if there are no steps
+        if self.depth:
+            found[moving] = self.inputs[0, moving, 0]
+        return found
+
     def take(self, indices: Sequence[int] | Integers) -> Packed:
         """The packing of some of the trajectories, in the order given (repeats allowed)."""
         index = np.asarray(indices, dtype=np.int64)

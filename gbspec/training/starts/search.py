@@ -16,8 +16,8 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
-from gbspec.ir import Model
 from gbspec.training.engines import Engine, explain_failure, happened, residual_table, residual_vector
+from gbspec.training.engines.native import NativeEngine
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
@@ -64,10 +64,12 @@ PATIENCE: Mapping[Effort, Patience] = {
 }
 
 
-def patience_of(effort: Effort, model: Model) -> Patience:
-    """The effort for a model: with delays, which the kernel does not cover, solutions take a hundred times as long."""
+def patience_of(effort: Effort, engine: Engine) -> Patience:
+    """The effort for an engine: the torch graph takes a hundred times as long as the kernel for delays."""
     full = PATIENCE[effort]
-    return Patience(full.draws // 8, full.improved // 4, min(full.least, 3), 2) if model.delays else full
+    if not engine.problem.model.delays or isinstance(engine, NativeEngine):
+        return full
+    return Patience(full.draws // 8, full.improved // 4, min(full.least, 3), 2)
 
 
 def starts_within(patience: Patience, substeps: int, columns: int) -> int:
@@ -95,7 +97,7 @@ class Search:
 
     def __init__(self, engine: Engine, forced: Engine | None, seed: int, effort: Effort) -> None:
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
-        self.patience = patience_of(effort, engine.problem.model)
+        self.patience = patience_of(effort, engine)
         columns = self.parameters.n_shared + self.parameters.n_local
         self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
 
@@ -134,7 +136,7 @@ class Search:
 
         At effort high those come first that effort normal has, in its order: what normal finds is found too.
         """
-        normal = patience_of("normal", self.engine.problem.model)
+        normal = patience_of("normal", self.engine)
         first = min(normal.draws, len(losses) - 2)
         known = [0, 1, *(2 + np.argsort(losses[2 : 2 + first], kind="stable")).tolist()]
         known = [i for i in known if np.isfinite(losses[i])][: normal.improved]

@@ -15,6 +15,7 @@ from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group
 from gbspec.training.engines.linearised import Jacobian
 from gbspec.training.engines.native.control import Planner
+from gbspec.training.engines.native.delays import delayed_jacobian
 from gbspec.training.engines.native.gradient import HalfSquares
 from gbspec.training.engines.native.inputs import KernelInputs, Latest
 from gbspec.training.engines.native.jacobian import jacobian
@@ -52,8 +53,8 @@ class NativeEngine:
         vector = torch.from_numpy(theta)
         with torch.no_grad():
             inputs = self._latest.at(self.problem, self.parameters, theta)
-            before = self.kernel.sweep(self.tables(path), inputs, False).states
-            mean = self._observed(vector, before, inputs.constants)
+            swept = self.kernel.sweep(self.tables(path), inputs, False)
+            before, mean = swept.states, self._observed(vector, swept, inputs.constants)
         return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())
 
     def happened(self, theta: Array, path: Path) -> tuple[Counts, Counts]:
@@ -61,21 +62,24 @@ class NativeEngine:
         swept = self.kernel.sweep(self.tables(path), self._latest.at(self.problem, self.parameters, theta), False)
         return swept.happened, swept.endless
 
-    def _observed(self, vector: Tensor, before: Array, constants: Tensor) -> Array:
-        """The channels at the key rows [R, C], from the states there."""
+    def _observed(self, vector: Tensor, swept: Swept, constants: Tensor) -> Array:
+        """The channels at the key rows [R, C], from the states and delayed values there."""
         channels = self.problem.model.channels
         states = [channel.state for channel in channels if channel.state is not None]
         if len(states) == len(channels):
-            return before[:, states]
+            return swept.states[:, states]
         networks = self.problem.module.torch_networks(self.parameters.weights(vector))
         owner = torch.from_numpy(self.problem.packed.row_trajectory)
-        found = observe_rows(self.problem, torch.from_numpy(before), constants[owner], networks)
+        late = torch.from_numpy(swept.late) if self.problem.model.delays else None
+        found = observe_rows(self.problem, torch.from_numpy(swept.states), constants[owner], networks, late)
         return np.asarray(found.numpy(), dtype=np.float64)
 
     def jacobian(self, theta: Array, path: Path, moments: Moments, scale: Array, only_local: bool = False) -> Jacobian:
         """The exact derivatives of the means."""
         columns = Columns(self.problem, self.parameters, theta, only_local)
         inputs = self._latest.at(self.problem, self.parameters, theta)
+        if self.problem.model.delays:
+            return delayed_jacobian(columns, self.kernel, inputs, self.tables(path), scale)
         observed = columns.observed(moments.before, scale)
         return jacobian(columns, self.kernel, inputs, self.tables(path), moments, observed)
 
@@ -102,7 +106,7 @@ class NativeEngine:
         def call() -> Swept:
             return self.kernel.sweep(self.tables(path), n, True, cotangent=cotangent, index=index)
 
-        loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.amounts, n.times)  # type: ignore[no-untyped-call]  # torch's
+        loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.amounts, n.times, n.lags)  # type: ignore[no-untyped-call]  # torch's
         if not loss.requires_grad:
             return float(loss), np.zeros_like(theta)
         (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)

@@ -32,12 +32,13 @@ class HalfSquares(torch.autograd.Function):
         initial: Tensor,
         amounts: Tensor,
         times: Tensor,
+        lags: Tensor,
     ) -> Tensor:
         """The value; `call` runs the kernel at the values of the other arguments."""
         swept = call()
         known = constants.shape[1] - swept.d_constants.shape[1]
         d_constants = np.concatenate([np.zeros((len(constants), known)), swept.d_constants], 1)
-        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_amounts, swept.d_times)
+        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_amounts, swept.d_times, swept.d_lags)
         ctx.save_for_backward(*map(torch.from_numpy, found))
         return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
 

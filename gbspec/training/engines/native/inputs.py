@@ -21,7 +21,8 @@ class KernelInputs:
     """The kernel's inputs, as functions of the trainable vector.
 
     `weights` [W], the effective weights of all layers; `constants` [N, n_constants]; `initial` [N, n_states]; `amounts`
-    and `times` [E] of the doses that arrive; `numbers`: scales that the forms of contracts use.
+    and `times` [E] of the doses that arrive; `lags` [N, n_lags], the times of delays; `numbers`: scales that the forms
+    of contracts use.
     """
 
     weights: Tensor
@@ -29,6 +30,7 @@ class KernelInputs:
     initial: Tensor
     amounts: Tensor
     times: Tensor
+    lags: Tensor
     numbers: Array
 
     @classmethod
@@ -39,13 +41,24 @@ class KernelInputs:
         initial = initial_states(problem, parameters, vector, parameters.starts(vector), constants, called)
         networks = network_layers(problem.module, parameters.weights(vector), torch_arithmetic(problem.module))
         layers = _layer_weights(networks, vector)
-        return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))
+        return cls(
+            layers, constants, initial, *delivered(problem, constants), lags(problem, constants), _numbers(networks)
+        )
 
     def struct(self, library: Library) -> Struct:
         """The kernel's argument: all inputs except the times, which are in the tables."""
-        tensors = {name: getattr(self, name) for name in ("weights", "constants", "initial", "amounts")}
+        tensors = {name: getattr(self, name) for name in ("weights", "constants", "initial", "amounts", "lags")}
         arrays = {name: np.ascontiguousarray(x.detach().numpy()) for name, x in tensors.items()}
         return library.struct("Inputs", numbers=self.numbers, **arrays)
+
+
+def lags(problem: Problem, constants: Tensor) -> Tensor:
+    """The times of the delays of each trajectory [N, n_lags] at the constants [N, n_constants]."""
+    if not problem.model.delays:
+        return constants.new_zeros((len(constants), 0))
+    condition = constants.new_tensor(problem.packed.condition)
+    found = problem.module.equations.lags(torch_arithmetic(problem.module), condition.unbind(1), constants.unbind(1))
+    return torch.stack([lag + constants.new_zeros(len(constants)) for lag in found], 1)
 
 
 class Latest:

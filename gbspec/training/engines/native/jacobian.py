@@ -57,7 +57,7 @@ class Intervals:
         unused = np.zeros(len(inputs.weights))  # without columns of weights nothing is converted
         with torch.no_grad():
             self.factor, self.shift = (
-                _trained(problem, parameters, columns.theta) if columns.shared else (unused, unused)
+                trained(problem, parameters, columns.theta) if columns.shared else (unused, unused)
             )
         packed = self.tables.packed
         self.first = packed.first_step
@@ -65,7 +65,7 @@ class Intervals:
         fresh = (packed.row_index == 0)[:, None]
         start = np.where(fresh, moments.initial[packed.row_trajectory], moments.after[packed.previous_row])
         self.start = np.ascontiguousarray(start)
-        self.doses = _Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
+        self.doses = Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
 
     def derivatives(self, rows: Integers, columns: int) -> Derivatives:
         """Derivatives of the intervals that end at some rows; without those by weights if `columns` is 0."""
@@ -188,7 +188,7 @@ def chain(
     kernel.library.chain(links)
 
 
-def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Array, Array]:
+def trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Array, Array]:
     """`factor` and `shift` [W] that convert derivatives by the kernel's weights into those by the trained weights.
 
     In the kernel the networks' scales are part of the first and the last layer, and contracts have transformed weights.
@@ -214,7 +214,7 @@ def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Ar
     return np.concatenate(factors), np.concatenate(shifts)
 
 
-class _Doses:
+class Doses:
     """Contributions of learned fractions and lags of doses to the derivatives by constants."""
 
     def __init__(self, problem: Problem, parameters: Parameters, vector: torch.Tensor, tables: Tables) -> None:

@@ -30,8 +30,9 @@ class Swept:
 
     `residuals` [R, C], `states` at the key rows before resets [R, n_states]; gradients by weights [W], learnable
     constants [N, n_learnables], initial states [N, n_states], amounts of doses [E] and, if lags are learned, their
-    times of arrival [E] (zeros if no gradient was requested). `happened` [N, events]: how often each event happens;
-    `endless` [N]: whether events follow each other without end.
+    times of arrival [E], times of delays [N, n_lags] (zeros if no gradient was requested). `late` [R, n_delays]:
+    delayed values at the key rows; `happened` [N, events]: how often each event happens; `endless` [N]: whether events
+    follow each other without end.
     """
 
     residuals: Array
@@ -41,22 +42,26 @@ class Swept:
     d_initial: Array
     d_amounts: Array
     d_times: Array
+    d_lags: Array
+    late: Array
     happened: Counts = field(init=False)
     endless: Counts = field(init=False)
 
     @classmethod
-    def zeros(cls, tables: Tables, weights: int, learnables: int, events: int) -> Swept:
+    def zeros(cls, tables: Tables, weights: int, sizes: dict[str, int]) -> Swept:
         """Results of zeros, to be filled by a call for some tables."""
         n, rows = len(tables.steps), tables.shape[0]
-        shapes = (tables.shape, (rows, tables.states), weights, (n, learnables), (n, tables.states))
-        found = cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals)))
-        found.happened, found.endless = np.zeros((n, events), dtype=np.int32), np.zeros(n, dtype=np.int32)
+        shapes = (tables.shape, (rows, tables.states), weights, (n, sizes["LEARNABLES"]), (n, tables.states))
+        of_delays = ((n, sizes["LAGS"]), (rows, sizes["DELAYS"]))
+        found = cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals, *of_delays)))
+        found.happened = np.zeros((n, sizes["EVENTS"]), dtype=np.int32)
+        found.endless = np.zeros(n, dtype=np.int32)
         return found
 
     def filled_by(self, library: Library) -> Struct:
         """The kernel's argument: the arrays into which all shares of a call write."""
-        names = ("residuals", "states", "d_constants", "d_initial", "d_amounts", "d_times", "happened", "endless")
-        return library.struct("Outputs", **{name: getattr(self, name) for name in names})
+        arrays = {name: value for name, value in vars(self).items() if name != "d_weights"}
+        return library.struct("Outputs", **arrays)
 
 
 class Kernel:
@@ -70,7 +75,8 @@ class Kernel:
         self.model, self.precision = model, precision
         plain, searches = with_searches(model)
         self.library = Library(source_with(source(plain, precision, method), model, searches))
-        self.plans = precision == "float64" and method.b_error is not None and not model.events
+        self.plans = precision == "float64" and method.b_error is not None
+        self.plans = self.plans and not model.events and not model.delays
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""
@@ -91,7 +97,7 @@ class Kernel:
         residuals' Jacobian.
         """
         order = tables.order if index is None else index[np.argsort(-tables.steps[index], kind="stable")]
-        out = Swept.zeros(tables, len(inputs.weights), len(self.model.learnables), len(self.model.events))
+        out = Swept.zeros(tables, len(inputs.weights), self.library.sizes)
         tiles = -(-len(order) // self.library.sizes["TILE"])
         threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
         # More shares than threads, so that a thread that is held up leaves work to the others. Each share has its own

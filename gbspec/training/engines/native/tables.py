@@ -34,6 +34,8 @@ class Tables:
             "value": problem.forcing.value,
             "weight": problem.forcing.weight,
             "band": np.array([band_of(packed)]) if problem.model.events else None,
+            "begin": packed.start if problem.model.delays else None,
+            "before": packed.inputs_before if problem.model.delays else None,
             "logarithmic": problem.scaling.log.astype(np.int32),
             "side": None if problem.censored is None else problem.censored.side.astype(np.int32),
             "level": None if problem.censored is None else problem.censored.level.astype(np.float64),
@@ -43,6 +45,7 @@ class Tables:
         }
         self._arrays = {name: None if a is None else np.ascontiguousarray(a) for name, a in arrays.items()}
         self._data: tuple[Library, Struct] | None = None
+        self._forced = bool(problem.forcing.weight.any())
         self.packed, self.arrivals = packed, len(packed.doses.time)
         self.shape = (packed.rows, len(problem.model.channels))
         self.states = len(problem.model.states)
@@ -53,7 +56,7 @@ class Tables:
     def data(self, library: Library) -> Struct:
         """The data for a kernel of the model, kept between calls."""
         if self._data is None or self._data[0] is not library:
-            sizes = {"depth": self.depth, "trajectories": self.packed.trajectories}
+            sizes = {"depth": self.depth, "trajectories": self.packed.trajectories, "forced": int(self._forced)}
             self._data = library, library.struct("Data", **sizes, **self._arrays)
         return self._data[1]
 
@@ -78,7 +81,9 @@ def _arrivals(model: Model, places: Path) -> dict[str, NDArray[np.generic] | Non
     first = np.full((packed.trajectories, packed.depth), -1, dtype=np.int32)
     heads = np.setdiff1d(np.flatnonzero(step >= 0), places.following)
     first[packed.doses.owner[heads], step[heads]] = heads
-    state = np.array([model.state_index[dose.state] for dose in model.doses], dtype=np.int32)
+    # Arrivals of nothing, at which steps begin because of delays, come after the kinds of doses.
+    state = np.zeros(1 + int(packed.doses.kind.max()), dtype=np.int32)
+    state[: len(model.doses)] = [model.state_index[dose.state] for dose in model.doses]
     return {
         "arrival_at": first,
         "arrival_next": places.following.astype(np.int32),

@@ -20,15 +20,17 @@ from gbspec.backends import Networks, Value
 from gbspec.training.engines.linearised import Jacobian
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.engines.torch.sub_steps import Deliveries, SubStep
-from gbspec.training.problem import Parameters, Problem
+from gbspec.training.problem import Integers, Parameters, Problem
 
 BYTES = 64 * 1024**2
 """Approximate size of the largest array of a batch of backward passes."""
 
 
 class Past(Protocol):
-    """The solution so far of a batch (`_Past` of the module's template); `shortest`: the shortest delays [B]."""
+    """The solution so far of a batch (`_Past` of the module's template); `begin` [B]: the starts of the rows,
+    `shortest`: their shortest delays [B]."""
 
+    begin: Tensor
     shortest: Array
 
     def across(
@@ -41,10 +43,11 @@ class Past(Protocol):
 
 
 def past_of(
-    problem: Problem, condition: Tensor, k: Sequence[Tensor], networks: Networks, step: SubStep, x: Tensor
+    problem: Problem, condition: Tensor, k: Sequence[Tensor], networks: Networks, owner: Integers, x: Tensor
 ) -> Past:
-    """The past of rows that begin with the states `x` at their first step."""
-    made: Past = problem.module.equations.past((condition, tuple(k), networks), step.t.detach(), x, step.nodes[0])
+    """The past of rows, each of a trajectory `owner` [B], that begin with the states `x`."""
+    begin, inputs = (x.new_tensor(table[owner]) for table in (problem.packed.start, problem.packed.inputs_before))
+    made: Past = problem.module.equations.past((condition, tuple(k), networks), begin, x, inputs)
     return made
 
 
@@ -60,8 +63,7 @@ def follow(
     """States and delayed values of the live rows at their starts and at the end of each sub-step; `rhs` gives the
     right-hand side of the first rows."""
     ready = [_Step.of(step, deliveries) for step in steps]
-    begin = steps[0].t.detach()[None]
-    states, ends = [x], [past.values(begin, begin[0])[0]]
+    states, ends = [x], [past.values(past.begin[None], past.begin)[0]]
     known: list[Tensor] = []
     for number, (reset, step) in enumerate(zip(resets, steps, strict=False)):
         if not known:
@@ -134,7 +136,10 @@ def advance(
     """The states at the end of a sub-step, and the delayed values there; `smooth`: no state was reset before it."""
     if step.arrivals is not None:
         x = deliveries.added(x, step.arrivals)
-    smooth = smooth and step.arrivals is None and not deliveries.problem.model.inputs
+    problem = deliveries.problem
+    # Jumps by resets show again within steps or between them, where rates differ on both sides.
+    steady = not problem.model.inputs and not problem.forcing.weight.any()
+    smooth = smooth and step.arrivals is None and steady
     return past.across(ready.t, ready.h, ready.grid, x, ready.nodes, rhs, smooth, late)
 
 

@@ -118,9 +118,7 @@ class Motion:
 
     def delayed(self, schedule: Schedule, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """States and delayed values of the live segments at their starts and at the end of each sub-step."""
-        if not schedule.steps:
-            return [x], [x.new_zeros((len(x), len(self._problem.model.delays)))]
-        past = past_of(self._problem, self._condition, self._constants, self._networks, schedule.steps[0], x)
+        past = past_of(self._problem, self._condition, self._constants, self._networks, schedule.segments.owner, x)
         flows = {live: self.of(slice(live)) for live in {len(step.t) for step in schedule.steps}}
         steps, resets = schedule.steps, schedule.resets
         return follow(self._problem, steps, resets, past, self.deliveries, flows.__getitem__, x)
