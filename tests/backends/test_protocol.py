@@ -14,6 +14,7 @@ from gbspec.backends.protocol import Equations, GeneratedModule
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
+from gbspec.ir import scheduled
 
 TEMPLATE: type[GeneratedModule] = Template  # mypy compares names and signatures
 EQUATIONS: Equations = Template.equations
@@ -54,6 +55,7 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
     optional |= set() if followed else {"followed"}
     optional |= {"blocks"} if model.algebraics else {"blocks", "algebraic", "unsolved"}
     optional |= set() if any(event.timing is not None for event in model.events) else {"timing"}
+    optional |= {"whole"} if scheduled(model) else {"whole", "schedule"}
     for method in set(offered(Equations)) - optional:
         expected = [(model.time.name if key == "t" and method != "grid" else key, default)
                     for key, default in parameters(getattr(Equations, method))]  # fmt: skip
