@@ -118,7 +118,7 @@ def _bound(model: Model, data: Trajectories) -> tuple[Problem, Parameters, Array
 def _measured(
     specification: Specification, data: Trajectories, rounds: int, folder: Path
 ) -> Mapping[str, tuple[float, float]]:
-    """Seconds by the torch graph and by the kernel."""
+    """Processor seconds by the torch graph and by the kernel."""
     model = specification.model
     problem, parameters, theta = _bound(model, data)
     kernel = kernel_of(model, type(problem.module))
@@ -134,9 +134,9 @@ def _measured(
             call(engine)
         for _ in range(rounds):
             for engine, own in zip(engines, spent[name], strict=True):
-                begun = time.perf_counter()
+                begun = time.process_time()
                 call(engine)
-                own.append(time.perf_counter() - begun)
+                own.append(time.process_time() - begun)
     found = {name: (float(np.median(torch)), float(np.median(own))) for name, (torch, own) in spent.items()}
     whole = []
     for backend in ("torch", "native"):
@@ -147,7 +147,7 @@ def _measured(
 
 
 def times(rounds: int) -> str:
-    """Medians of a loss with its gradient and of a Jacobian, and the processor time of a whole fit, by turns."""
+    """Processor times by turns: medians of a loss with its gradient and of a Jacobian, and a whole fit."""
     import gbspec
 
     lines = ["| model | | torch graph | kernel | ratio |", "|---|---|---:|---:|---:|"]
