@@ -115,10 +115,8 @@ def _bound(model: Model, data: Trajectories) -> tuple[Problem, Parameters, Array
     return problem, parameters, parameters.vector(module.weights)
 
 
-def _measured(
-    specification: Specification, data: Trajectories, rounds: int, folder: Path
-) -> Mapping[str, tuple[float, float]]:
-    """Seconds by the torch graph and by the kernel."""
+def _measured(specification: Specification, data: Trajectories, rounds: int) -> Mapping[str, tuple[float, float]]:
+    """Processor seconds by the torch graph and by the kernel."""
     model = specification.model
     problem, parameters, theta = _bound(model, data)
     kernel = kernel_of(model, type(problem.module))
@@ -134,20 +132,24 @@ def _measured(
             call(engine)
         for _ in range(rounds):
             for engine, own in zip(engines, spent[name], strict=True):
-                begun = time.perf_counter()
+                begun = time.process_time()
                 call(engine)
-                own.append(time.perf_counter() - begun)
-    found = {name: (float(np.median(torch)), float(np.median(own))) for name, (torch, own) in spent.items()}
+                own.append(time.process_time() - begun)
+    return {name: (float(np.median(torch)), float(np.median(own))) for name, (torch, own) in spent.items()}
+
+
+def _fitted(specification: Specification, data: Trajectories, folder: Path) -> Mapping[str, tuple[float, float]]:
+    """Processor seconds of a whole fit by the torch graph and by the kernel."""
     whole = []
     for backend in ("torch", "native"):
         begun = time.process_time()
-        specification.train(data, folder / f"{model.name} {backend}", seed=0, members=1, backend=backend)
+        specification.train(data, folder / f"{specification.model.name} {backend}", seed=0, members=1, backend=backend)
         whole.append(time.process_time() - begun)
-    return found | {"fit, all options the defaults": (whole[0], whole[1])}
+    return {"fit, all options the defaults": (whole[0], whole[1])}
 
 
-def times(rounds: int) -> str:
-    """Medians of a loss with its gradient and of a Jacobian, and the processor time of a whole fit, by turns."""
+def times(rounds: int, whole: bool) -> str:
+    """Processor times by turns: medians of a loss with its gradient and of a Jacobian, or those of a `whole` fit."""
     import gbspec
 
     lines = ["| model | | torch graph | kernel | ratio |", "|---|---|---:|---:|---:|"]
@@ -159,7 +161,8 @@ def times(rounds: int) -> str:
             (cells, cells.simulate(trajectories=4, span=80, dt=2, sampling="regular", noise=0.01)),
         )
         for specification, data in given:
-            for what, spent in _measured(specification, data, rounds, Path(folder)).items():
+            pair = _fitted(specification, data, Path(folder)) if whole else _measured(specification, data, rounds)
+            for what, spent in pair.items():
                 torch, kernel = (f"{value:.3g} s" if value >= 1 else f"{1e3 * value:.3g} ms" for value in spent)
                 name = specification.model.name
                 lines.append(f"| `{name}` | {what} | {torch} | {kernel} | {spent[0] / spent[1]:.0f} |")
@@ -172,12 +175,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--taus", type=float, nargs="*", default=[8.0, 17.0, 30.0])
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--only", choices=("orders", "fits", "times"), default=None)
+    parser.add_argument("--only", choices=("orders", "fits", "times", "whole"), default=None)
     given = parser.parse_args()
     parts = {
         "orders": orders,
         "fits": lambda: fits(tuple(given.taus)),
-        "times": lambda: times(given.rounds),
+        "times": lambda: times(given.rounds, whole=False),
+        "whole": lambda: times(given.rounds, whole=True),
     }
     found = [part() for name, part in parts.items() if given.only in (None, name)]
     given.output.write_text("\n\n".join(found) + "\n", encoding="utf-8")

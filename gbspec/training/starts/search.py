@@ -16,8 +16,14 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Engine, explain_failure, happened, residual_table, residual_vector
-from gbspec.training.engines.native import NativeEngine
+from gbspec.training.engines import (
+    Engine,
+    TorchEngine,
+    explain_failure,
+    happened,
+    residual_table,
+    residual_vector,
+)
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
@@ -67,9 +73,9 @@ PATIENCE: Mapping[Effort, Patience] = {
 def patience_of(effort: Effort, engine: Engine) -> Patience:
     """The effort for an engine: the torch graph takes a hundred times as long as the kernel for delays."""
     full = PATIENCE[effort]
-    if not engine.problem.model.delays or isinstance(engine, NativeEngine):
-        return full
-    return Patience(full.draws // 8, full.improved // 4, min(full.least, 3), 2)
+    if engine.problem.model.delays and isinstance(engine, TorchEngine):
+        return Patience(full.draws // 8, full.improved // 4, min(full.least, 3), 2)
+    return full
 
 
 def starts_within(patience: Patience, substeps: int, columns: int) -> int:

@@ -39,8 +39,6 @@ def delayed_jacobian(columns: Columns, kernel: Kernel, inputs: KernelInputs, tab
     each = [column[:, None] for column in of_constants.unbind(1)]
     columns.add_constants(shared[:, None], local[:, None], [*unused, *each], owner)
     begun, own_begun = columns.initial(torch.arange(packed.trajectories))
-    if problem.model.steady is not None:  # the only starts that depend on weights, here on the trained ones
-        begun = columns.of_trained_weights(begun)
     for i in range(packed.trajectories):
         mine = owner == i
         shared[mine] += of_starts[mine] @ begun[i]
