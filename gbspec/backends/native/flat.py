@@ -26,7 +26,8 @@ class NotCoveredError(Exception):
 
 @dataclass(frozen=True)
 class Leaf:
-    """The quantity that a symbol denotes if no operation computes it: entry `index` of a vector."""
+    """The quantity that a symbol denotes if no operation computes it: entry `index` of a vector. Delayed values stand
+    behind the inputs."""
 
     kind: Kind
     index: int
@@ -209,7 +210,7 @@ def _leaves(model: Model) -> dict[sympy.Symbol, Leaf]:
     groups: Iterable[tuple[Kind, Sequence[sympy.Symbol]]] = (
         ("state", [item.symbol for item in model.states]),
         ("condition", [item.symbol for item in model.conditions]),
-        ("input", [item.symbol for item in model.inputs]),
+        ("input", [*(item.symbol for item in model.inputs), *(delay.symbol for delay in model.delays)]),
         ("constant", [item.symbol for item in (*model.constants, *model.learnables)]),
         ("time", [model.time.symbol]),
         ("algebraic", [item.symbol for item in model.algebraics]),
