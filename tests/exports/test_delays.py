@@ -126,6 +126,12 @@ def test_a_delay_of_too_many_steps_is_refused() -> None:
     subject = exported(model_of(MACKEY_GLASS.replace("[5, 40]", "[5, 4000]")))
     with pytest.raises(NotCoveredError, match=r"longest delay may be 4e\+03, which is more than 100000 steps"):
         Library(subject).header()
+    free = exported(
+        model_of(
+            MACKEY_GLASS.replace("learn tau = 12 in [5, 40]", "condition tau = 12").replace("truth tau = 17\n", "")
+        )
+    )
+    assert room(free, Library(free).programs) == 4 * 12 / 0.005 + 1024
     unbounded = exported(model_of(MACKEY_GLASS.replace("in [5, 40]", "> 1")))
     assert room(unbounded, Library(unbounded).programs) == 4 * 12 / 0.005 + 1024
 

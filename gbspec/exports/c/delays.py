@@ -13,6 +13,7 @@ from gbspec.exports.c.printer import table
 from gbspec.exports.c.straight import Place, Straight, function, unused
 from gbspec.exports.programs import Programs
 from gbspec.exports.subject import Exported
+from gbspec.ir import Condition
 
 FINE = 10.0 / 2000
 """The step of a program that simulates a trajectory, if that of the model is longer."""
@@ -78,7 +79,7 @@ def _longest(exported: Exported, programs: Programs) -> Iterator[float]:
             item, value = table[symbol]
             range = getattr(item, "range", None)
             known = [end for end in (range.low, range.high) if math.isfinite(end)] if range is not None else []
-            wide = range is not None and not math.isfinite(range.high)
+            wide = not math.isfinite(range.high) if range is not None else isinstance(item, Condition)
             ends.append([value, *known, *([WIDER * value] if wide else [])])
         rest = [[table[symbol][1]] for symbol in symbols[CORNERS:]]
         yield max(_finite(function(*corner)) for corner in itertools.product(*ends, *rest))

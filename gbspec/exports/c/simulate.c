@@ -146,7 +146,7 @@ static int advance(trajectory *r, const double *value, const double *slope, doub
 /* 1: a call with wrong arguments. */
 static int wrong(const trajectory *r) {
     int i;
-    if (r->count < 1 || !(r->max_step > 0.0) || r->times[0] < r->start) return 1;
+    if (r->count < 1 || !(r->max_step > 0.0) || !(r->times[0] >= r->start)) return 1;
     for (i = 1; i < r->count; i++)
         if (!(r->times[i] > r->times[i - 1])) return 1;
     for (i = 0; i < PREFIX_INPUTS; i++)
@@ -157,9 +157,9 @@ static int wrong(const trajectory *r) {
 int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, const PREFIX_course *inputs,
                     const PREFIX_course *doses, int count, const double *times, double max_step, double *states,
                     double *channelsPAST) {
-    double x[PREFIX_STATES], value[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1], begin = start, t = start, cut, to;
+    double x[PREFIX_STATES], value[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1], begin = start, t = start, cut = start, to;
     trajectory r;
-    int next = 0, status, i;
+    int next = 0, opens = 1, status, i; /* whether a piece begins */
     r.p = p, r.inputs = inputs, r.doses = doses, r.times = times;
     r.start = start, r.max_step = max_step, r.count = count;
     if (wrong(&r)) return 1;
@@ -170,8 +170,8 @@ int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, 
     for (i = 0; i < PREFIX_STATES; i++) x[i] = x0[i];
     PREFIX_initial(p, x);
     PREFIX_doses(p, r.fraction, r.lag);
-    for (cut = start;;) {
-        if (t == cut) /* inputs are those after their changes */
+    for (;;) {
+        if (opens) /* inputs are those after their changes */
             for (i = 0; i < PREFIX_INPUTS; i++) value[i] = course(&inputs[i], LINEAR[i], t, &slope[i]);
 #if EVENTS
         if (t == start) PREFIX_arm(p, t, x, value, &r.events);
@@ -189,7 +189,7 @@ int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, 
             if (channels) PREFIX_observe(p, t, x, u, channels + next * PREFIX_CHANNELS);
             if (++next == count) break;
         }
-        if (t == cut) {
+        if (opens) {
             status = happening(&r, t, value, x);
             if (status) return status;
             begin = t;
@@ -199,6 +199,7 @@ int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, 
         status = advance(&r, value, slope, begin, t, to, x);
         if (status) return status;
         t = to;
+        opens = t == cut;
     }
     for (i = 0; i < PREFIX_STATES; i++)
         if (!isfinite(x[i])) return 2;

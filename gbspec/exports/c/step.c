@@ -47,6 +47,7 @@ void PREFIX_move(const PREFIX_parameters *p, double begin, const double *value, 
                  double *x) {
     double u[PREFIX_NODES * PREFIX_INPUTS + 1];
     int q, j;
+    u[PREFIX_NODES * PREFIX_INPUTS] = 0.0; /* for models without inputs */
     for (q = 0; q < PREFIX_NODES; q++)
         for (j = 0; j < PREFIX_INPUTS; j++)
             u[q * PREFIX_INPUTS + j] = value[j] + slope[j] * (t + NODE[q] * h - begin);
