@@ -285,10 +285,12 @@ Identifiability is undecided. An index above 1 is refused with the derivative th
 
 Delays of elements of arrays, and delays together with `diffusion`, events, populations and learned noises are not
 offered yet (GB372), nor delays of something delayed (GB368) or whose time varies within a trajectory (GB366). Models
-with delays have no stiff solvers and no tolerances (GB768), no cycles and no plane of two parameters (GB769), no export
-and no C code (GB808). Their identifiability is undecided. No covariance of their Hopf points is computed. Fits keep
-the whole solution of a trajectory, and its sensitivities as far back as the longest delay looks. A learned delay whose
-lower bound is far below the time between measurements makes fits slow, since no step is longer than it.
+with delays have no stiff solvers and no tolerances (GB768), no cycles and no plane of two parameters (GB769), and no
+export to SBML and PEtab nor C code by `compile` (GB808). An exported library or unit remembers the steps of its
+longest delay, at most 100,000 (GB808). Their identifiability is undecided. No covariance of their Hopf points is
+computed. Fits keep the whole solution of a trajectory, and its sensitivities as far back as the longest delay looks. A
+learned delay whose lower bound is far below the time between measurements makes fits slow, since no step is longer
+than it.
 
 Steady starts (`initial steady`) are not offered with `diffusion`, populations and learned noises, nor with events
 whose condition depends on the time, that are `armed` or that wait (GB375), nor where the time itself occurs in a

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -45,8 +45,6 @@ class Programs:
     """
 
     def __init__(self, model: Model, *, events: bool = False, algebraics: bool = False) -> None:
-        if model.delays:
-            raise NotCoveredError("it has delays, for which an exported program would have to keep its past")
         if model.events and not events:
             raise NotCoveredError("it has events, which graphs of operations cannot carry out")
         if model.algebraics and not algebraics:
@@ -76,6 +74,31 @@ class Programs:
                 value = value.xreplace(values)
             out.append(value)
         return self._flat(out)
+
+    @cached_property
+    def lag_values(self) -> tuple[Expr, ...]:
+        """How long delays are, each length once."""
+        return tuple(dict.fromkeys(delay.lag for delay in self.model.delays))
+
+    @property
+    def lag_of(self) -> tuple[int, ...]:
+        """Of each delay the place of its length."""
+        return tuple(self.lag_values.index(delay.lag) for delay in self.model.delays)
+
+    @cached_property
+    def lags(self) -> Flat:
+        """Those lengths."""
+        return self._flat(self.lag_values)
+
+    @cached_property
+    def delayed(self) -> Flat:
+        """What each delay delays, at its own time."""
+        return self._flat([delay.value for delay in self.model.delays])
+
+    @cached_property
+    def history(self) -> Flat:
+        """Every state before the start, of that at the start."""
+        return self._flat([s.symbol if s.history is None else s.history for s in self.model.states])
 
     @cached_property
     def searches(self) -> tuple[Search, ...]:
@@ -116,7 +139,7 @@ class Programs:
                     for relation in sorted(condition.atoms(Relational), key=sympy.default_sort_key):
                         if not isinstance(relation, sympy.Eq | sympy.Ne):
                             found[sympy.Add(relation.lhs, sympy.Mul(-1, relation.rhs))] = None
-        groups = (self.model.states, self.model.inputs, self.model.algebraics)
+        groups = (self.model.states, self.model.inputs, self.model.algebraics, self.model.delays)
         moving = {item.symbol for group in groups for item in group}
         moving.add(self.model.time.symbol)
         return [value for value in found if value.free_symbols & moving]
@@ -215,6 +238,19 @@ class Programs:
         A condition counts, the point of a contract does not.
         """
         return [set[sympy.Symbol]().union(*map(self.behind, found)) for found in _reached(flat)]
+
+    def before(self, symbols: Iterable[sympy.Symbol]) -> set[sympy.Symbol]:
+        """What quantities depend on at the start, where delayed values come from the states' history."""
+        found = set(symbols)
+        for i, delay in enumerate(self.model.delays):
+            if delay.symbol in found:
+                read = {self.model.time.symbol, *self.dependencies(self.lags)[self.lag_of[i]]}
+                histories = self.dependencies(self.history)
+                for one in self.dependencies(self.delayed)[i]:
+                    index = self.model.state_index.get(one.name)
+                    read |= {one} if index is None else histories[index]
+                found = (found - {delay.symbol}) | read
+        return found
 
     def behind(self, symbol: sympy.Symbol) -> set[sympy.Symbol]:
         """What an algebraic variable depends on; of another quantity itself."""

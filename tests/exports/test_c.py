@@ -66,6 +66,15 @@ def test_names_that_c_does_not_have(model: object, tmp_path: Path) -> None:
     agree(exported(model()), tmp_path)  # type: ignore[operator]
 
 
+@pytest.mark.parametrize("name", ["buffered_tank", "haematopoiesis", "one_compartment", "thermostat", "fed_batch"])
+def test_optimising_compilers_do_not_warn(name: str, tmp_path: Path) -> None:
+    """They see more than others, such as values that nothing sets."""
+    library = Library(exported(load_model(shipped_models()[name], Findings())))
+    sources = {f"{library.prefix}.h": library.header(), f"{library.prefix}.c": library.source()}
+    flags = tuple("-O2" if flag == "-O0" else flag for flag in STRICT)
+    shared_library(tmp_path, sources, tmp_path / "library.so", [f"{library.prefix}.c"], flags)
+
+
 def test_greek_names_and_equal_ones(tmp_path: Path) -> None:
     text = "model greek\ntime τ\nstate α in [0, 1]\nstate β_1 in [0, 1]\nconst int = 2\nlearn φ = 1\nlearn phi = 2\n"
     text += "α' = -φ*α + phi*int\nβ_1' = -β_1*τ\nobserve α\nobserve γ = β_1*2\n"

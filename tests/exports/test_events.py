@@ -68,7 +68,7 @@ def followed(text: str, times: np.ndarray, folder: Path, step: float = 0.005) ->
     doses = tuple(DoseEvents(np.array([1.55]), np.array([1.1])) for _ in subject.model.doses)
     course = Course(0.0, times, inputs, doses, step)
     points = own(subject)
-    known = Reference(subject, compiled.library.programs, points).trajectory(course)
+    known = Reference(subject, compiled.library.programs, points).trajectory(course)[0]
     return compiled.simulate(points, course)[0], known
 
 

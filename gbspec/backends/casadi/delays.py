@@ -242,6 +242,31 @@ def linear_parts(instance: GeneratedModule, rhs: Casadi) -> Casadi:
     return ca.Function("parts", [t, x, c, u, k], [ca.densify(one) for one in results])
 
 
+def late_at_first(instance: GeneratedModule, start: float) -> Casadi:
+    """casadi.Function (t, x, condition, inputs, constants) -> delayed values at t of a trajectory from x at `start`
+    with these inputs, of which nothing later than its start is known."""
+    equations, m = instance.equations, instance.arithmetic("casadi")
+    sizes = (
+        1,
+        len(instance.states),
+        len(instance.conditions),
+        len(instance.inputs),
+        len(instance.weights["constants"]),
+    )
+    t, x, c, u, k = (ca.MX.sym(name, size) for name, size in zip("txcuk", sizes, strict=True))
+    constants, found = m.unpack(k), []
+    each = [
+        equations.delayed(
+            m, t - lag, ca.if_else(t - lag < start, equations.history(m, t - lag, x, c, constants), x), c, u, constants,
+            instance.casadi_networks(),
+        )
+        for lag in equations.lags(m, c, constants)
+    ]  # fmt: skip
+    for i, (_, lag) in enumerate(equations.delays):
+        found.append(each[lag][i])
+    return ca.Function("late", [t, x, c, u, k], [ca.densify(ca.vertcat(*found))])
+
+
 def _arguments(rhs: Casadi, inputs: int) -> list[Casadi]:
     sizes = [rhs.size1_in(i) for i in range(5)]
     sizes[3] = inputs

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
-from gbspec.backends.casadi.delays import DelaySolver, at_rest, linear_parts
+from gbspec.backends.casadi.delays import DelaySolver, at_rest, late_at_first, linear_parts
 from gbspec.backends.casadi.events import EventSolver
 from gbspec.backends.casadi.starts import Course as Course
 from gbspec.backends.casadi.starts import first_values, steady_start
@@ -272,8 +272,26 @@ class Evaluator:
 
         States may be infinite or NaN: the fixed step is not checked. With events the steps are adaptive here too.
         """
+        return self.followed_fixed(
+            x0, times, condition, inputs, start, max_step=max_step, doses=doses, constants=constants, parts=parts
+        )[0]
+
+    def followed_fixed(
+        self,
+        x0: ArrayLike,
+        times: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: Sequence[Course] = (),
+        start: float | None = None,
+        *,
+        max_step: float,
+        doses: Sequence[Events] = (),
+        constants: ArrayLike | None = None,
+        parts: int = 1,
+    ) -> tuple[Array, Array]:
+        """States as from `integrate_fixed`, and the delayed values [n_times, n_delays]."""
         if self.has_events:
-            return self.integrate(x0, times, condition, inputs, start, doses=doses, constants=constants)
+            return self.followed(x0, times, condition, inputs, start, doses=doses, constants=constants)
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
@@ -281,11 +299,12 @@ class Evaluator:
             given, nominal = np.asarray(condition, dtype=np.float64).ravel(), np.ones(self.n_states)
             problem = InitialValueProblem(given, self._constants(constants), nominal, 0.0, 0.0)
             solver, start_state = DelaySolver(self.instance, self.rhs), np.asarray(x0, dtype=np.float64)
-            return solver.run(start_state, begin, outputs, pieces, problem, max_step, parts)[0]
+            return solver.run(start_state, begin, outputs, pieces, problem, max_step, parts)
         sizes = (self.n_states, self.n_inputs)
         plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
         condition = np.asarray(condition, dtype=np.float64).ravel()
-        return self._stepper.run(np.asarray(x0, dtype=np.float64), plan, condition, self._constants(constants))
+        found = self._stepper.run(np.asarray(x0, dtype=np.float64), plan, condition, self._constants(constants))
+        return found, np.zeros((len(outputs), 0))
 
     @cached_property
     def _integrator(self) -> Integrator:
@@ -320,6 +339,10 @@ class Evaluator:
     def at_rest(self) -> Casadi:
         """`rhs` of declared inputs alone: of a model with delays, where nothing changes."""
         return at_rest(self.instance, self.rhs) if self.has_delays else self.rhs
+
+    def late_at_first(self, start: float) -> Casadi:
+        """Delayed values of a trajectory of which nothing later than its start is known (`delays.late_at_first`)."""
+        return late_at_first(self.instance, start)
 
     @cached_property
     def linear_parts(self) -> Casadi | None:

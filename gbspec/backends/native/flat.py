@@ -26,7 +26,8 @@ class NotCoveredError(Exception):
 
 @dataclass(frozen=True)
 class Leaf:
-    """The quantity that a symbol denotes if no operation computes it: entry `index` of a vector."""
+    """The quantity that a symbol denotes if no operation computes it: entry `index` of a vector. Delayed values stand
+    behind the inputs."""
 
     kind: Kind
     index: int

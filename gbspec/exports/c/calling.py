@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.exports.c.delays import MARKS, room
 from gbspec.exports.c.library import Library
 from gbspec.exports.checking import Course, Points
 
@@ -42,6 +43,16 @@ class Compiled:
             function(_of(parameters), ctypes.c_double(t), _of(x), _of(inputs), _of(out[i]))
         return out
 
+    def delays(self, points: Points) -> tuple[Array, Array]:
+        """How long delays are [R, lags] and what is delayed [R, delays] at the points."""
+        programs = self.library.programs
+        lags, late = (np.zeros((len(points), len(flat.outputs))) for flat in (programs.lags, programs.delayed))
+        for i, (t, x, condition, inputs, constants) in enumerate(zip(*points.arguments, strict=True)):
+            parameters = np.concatenate([condition, constants, [0.0]])
+            self._function("lags")(_of(parameters), _of(lags[i]))
+            self._function("delayed")(_of(parameters), ctypes.c_double(t), _of(x), _of(inputs), _of(late[i]))
+        return lags, late
+
     def along(self, name: str, points: Points, width: int) -> Array:
         """Their derivatives along the points' directions."""
         out, function = np.zeros((len(points), width)), self._function(f"{name}_along")
@@ -71,6 +82,18 @@ class Compiled:
             out.append(function(_of(p), ctypes.c_double(t), _of(x), _of(inputs), None))
         return np.array(out, dtype=bool)
 
+    def _past(self) -> tuple[ctypes.Array[ctypes.c_char], ...]:
+        """Room for the solution so far of a model with delays."""
+        model = self.library.model
+        if not model.delays:
+            return ()
+        wide = 4 * (len(model.states) + len(model.inputs) + 2)
+        return (
+            ctypes.create_string_buffer(
+                8 * (wide + 2 * MARKS + wide * room(self.library.exported, self.library.programs))
+            ),
+        )
+
     def simulate(self, points: Points, course: Course, point: int = 0) -> tuple[Array, Array]:
         """States [T, n] and channels [T, C] of a course from the states of a point."""
         model, count = self.library.model, len(course.times)
@@ -81,11 +104,11 @@ class Compiled:
         times, x0 = np.ascontiguousarray(course.times), np.ascontiguousarray(points.x[point])
         status = self._function("simulate")(
             _of(p), ctypes.c_double(course.start), _of(x0), inputs, doses, ctypes.c_int(count), _of(times),
-            ctypes.c_double(course.max_step), _of(states), _of(channels),
+            ctypes.c_double(course.max_step), _of(states), _of(channels), *self._past(),
         )  # fmt: skip
         return (
             (states, channels)
-            if status not in (1, 3)
+            if status not in (1, 3, 4)
             else (np.full_like(states, np.nan), np.full_like(channels, np.nan))
         )
 

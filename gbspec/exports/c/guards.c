@@ -10,7 +10,7 @@ static int earlier(double a, double b) {
 }
 
 double PREFIX_due(const PREFIX_parameters *p, const PREFIX_events *e, int event) {
-    double timing[3 * PREFIX_TIMED + 1], at;
+    double timing[3 * PREFIX_TIMED + 1] = {0.0}, at;
     PREFIX_timing(p, timing);
     at = timing[3 * event];
     if (at != at) at = e->start;
@@ -68,6 +68,7 @@ int PREFIX_carry_out(const PREFIX_parameters *p, double t, const double *u, doub
     int count = 0, event, i;
     while (notice(p, t, x, u, e)) {
         event = chosen(p, t, x, u, e);
+        if (event < 0) break;
         if (++count > CASCADE) return -1;
         PREFIX_happen(p, t, x, u, event, after);
         for (i = 0; i < PREFIX_STATES; i++) x[i] = after[i];

@@ -37,18 +37,27 @@ void PREFIX_switches(const PREFIX_parameters *p, double t, const double *x, cons
 /* For each dose the fraction of it that arrives, and the lag after which it does. */
 void PREFIX_doses(const PREFIX_parameters *p, double *fraction, double *lag);
 
-/* One step of length h from t; `u` has the inputs at the nodes of the method, node by node. */
+/* One step of length h from t; `u` has the inputs (and behind them the delayed values) at the nodes of the method, node by
+   node. */
 void PREFIX_step(const PREFIX_parameters *p, double t, double h, const double *u, double *x);
 
+#if DELAYS
+/* The same with inputs `value + slope * (time - begin)` and delayed values of the past, to which the step is added. Returns
+   0, or 1 if there is no room for what is still needed. */
+int PREFIX_move(const PREFIX_parameters *p, double begin, const double *value, const double *slope, double t, double h,
+                double *x, PREFIX_past *past);
+#else
 /* The same with inputs `value + slope * (time - begin)`. */
 void PREFIX_move(const PREFIX_parameters *p, double begin, const double *value, const double *slope, double t, double h,
                  double *x);
+#endif
 
 /* States and channels (row by row; either may be NULL) at `count` increasing times from x0 at `start`, in equal steps of
    at most `max_step` between outputs, changes of inputs and doses. An output at the time of a dose is before it. `doses`
-   may be NULL. Returns 0, 1 for wrong arguments, 2 if the solution is not finite, 3 if events follow without end. */
+   may be NULL. Returns 0, 1 for wrong arguments, 2 if the solution is not finite, 3 if events follow without end, 4 if the past of a
+   model with delays, which it begins anew, has no room. */
 int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, const PREFIX_course *inputs,
                     const PREFIX_course *doses, int count, const double *times, double max_step, double *states,
-                    double *channels);
+                    double *channelsPAST);
 
 /* Each learned function at any arguments. */

@@ -9,6 +9,7 @@ from importlib import resources
 
 from gbspec.backends import Flat, Leaf, table_function, table_functions
 from gbspec.exports.c import networks
+from gbspec.exports.c.delays import MARKS, delays, room
 from gbspec.exports.c.names import OWN, CNames
 from gbspec.exports.c.printer import ascii_text, distinct, helpers, number, table
 from gbspec.exports.c.searching import searching
@@ -39,12 +40,14 @@ class Library:
         return {
             "STATES": len(model.states),
             "INPUTS": len(model.inputs),
+            "DELAYS": len(model.delays),
             "CHANNELS": len(model.channels),
             "DOSES": len(model.doses),
             "FUNCTIONS": len(self.programs.applications),
             "ALGEBRAICS": len(model.algebraics),
             "SWITCHES": len(self.programs.switches.outputs),
             "NODES": len(self.exported.method.nodes),
+            **({"MARKS": MARKS} if model.delays else {}),
             **({"GUARDS": len(self.programs.conditional), "TIMED": len(self.programs.timed)} if model.events else {}),
         }
 
@@ -70,11 +73,11 @@ class Library:
             )
             lines.append(f"    double {member}; /* {ascii_text(said)} */")
         lines += ["    double unused; /* a struct needs a member */"] * (not given)
-        lines += [f"}} {p}_parameters;", "", *_text("header.h").replace("PREFIX", p).splitlines()]
+        lines += [f"}} {p}_parameters;", "", *(self._texts("past.h") if model.delays else []), *self._texts("header.h")]
         if model.algebraics:
-            lines += self._sized(_text("algebraic.h")).splitlines()
+            lines += self._texts("algebraic.h")
         if model.events:
-            lines += self._sized(_text("events.h")).splitlines()
+            lines += self._texts("events.h")
         for name, arguments in self._unknowns():
             lines += [f"double {name}(const {p}_parameters *p, {arguments});", ""]
         return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "#endif", ""])
@@ -104,6 +107,7 @@ class Library:
             body += networks.network(i, network, numbers)
         body += self._defaults()
         body += searching(programs, self.prefix, self._place, self._direction, _text("search.c"))
+        body += delays(programs, self.prefix, self._place, self._direction, _text("past.c"))
         body += self._initial()
         for name, flat in (("rhs", programs.rhs), ("observe", programs.observe), ("functions", programs.functions)):
             out = {"rhs": "dx", "observe": "y", "functions": "values"}[name]
@@ -114,17 +118,29 @@ class Library:
             head = f"void {self.prefix}_{name}_along({ALONG.format(self.prefix)}, double *out)"
             body += function(head, lines, unused(["p", "t", "x", "u", "dp", "dt", "dx", "du", "out"], lines))
         body += [*self._outside(), *self._dose(), *self._events(), *self._called(), *self._step()]
-        parts = {"EVENTS": bool(model.events)}
-        body += _text("guards.c").splitlines() * parts["EVENTS"]
-        body += _chosen(_text("simulate.c"), parts)
+        body += _text("guards.c").splitlines() if model.events else []
+        body += self._part("simulate.c")
         text = "\n".join(body)
         text = self._sized(text)
         opening = [*self._opening(), f'#include "{self.prefix}.h"', "", "#include <math.h>", "#include <stddef.h>", ""]
         tables = [table for table in model.tables if f"{table_function(table.curve)}(" in text]
         return "\n".join([*opening, *helpers(text), *table_functions(tables), "", text, ""])
 
+    def _texts(self, name: str) -> list[str]:
+        """A text of the header, with the model's names."""
+        return self._sized("\n".join(self._part(name))).splitlines()
+
+    def _part(self, name: str) -> list[str]:
+        """The lines of a text, without what is of parts that the model does not have."""
+        parts = {"EVENTS": bool(self.model.events), "DELAYS": bool(self.model.delays)}
+        past = f",\n{20 * ' '}{self.prefix}_past *past" if self.model.delays else ""
+        text = _text(name).replace("PAST", past)
+        if "ROOM" in text:
+            text = text.replace("ROOM", str(room(self.exported, self.programs)))
+        return _chosen(text, parts)
+
     def _sized(self, text: str) -> str:
-        for size in self.sizes:
+        for size in (*self.sizes, "PIECES"):
             text = text.replace(f"PREFIX_{size}", f"{self.names.upper}_{size}")
         return text.replace("PREFIX", self.prefix)
 
@@ -134,6 +150,8 @@ class Library:
                 return f"x[{leaf.index}]"
             case "input":
                 return f"u[{leaf.index}]"
+            case "delay":
+                return f"u[{len(self.model.inputs) + leaf.index}]"
             case "condition":
                 return f"p->{self.names.conditions[leaf.index]}"
             case "constant":
@@ -270,26 +288,31 @@ class Library:
         linear = [str(int(item.interpolation == "linear")) for item in model.inputs] or ["0"]
         lines += table("int", "LINEAR", linear)
         places = [str(model.state_index[dose.state]) for dose in model.doses] or ["0"]
-        lines += [*table("int", "DOSE_STATE", places), f"enum {{ STAGES = {stages} }};", ""]
+        lines += [
+            *table("int", "DOSE_STATE", places),
+            f"enum {{ STAGES = {stages}, WIDTH = {len(model.inputs) + len(model.delays)} }};",
+            "",
+        ]
         armed = [str(int(event.armed)) for event in self.programs.conditional] or ["0"]
         lines += table("int", "ARMED", armed) if model.events else []
-        return [*lines, *_text("step.c").splitlines(), ""]
+        return [*lines, *self._part("step.c"), ""]
 
 
 def _chosen(text: str, parts: Mapping[str, bool]) -> list[str]:
     """The lines of a text without those between `#if` and `#endif`, or `#else`, of parts that a model does not have."""
-    kept, inside = list[str](), [True]
+    kept, inside, foreign = list[str](), [True], 0
     for line in text.splitlines():
         word, _, part = line.partition(" ")
-        match word:
-            case "#if":
-                inside.append(parts[part])
-            case "#else":
-                inside[-1] = not inside[-1]
-            case "#endif":
-                inside.pop()
-            case _:
-                kept += [line] * all(inside)
+        foreign += word == "#ifndef"  # which stays in the text, with its end
+        if word == "#if":
+            inside.append(parts[part])
+        elif word == "#else":
+            inside[-1] = not inside[-1]
+        elif word == "#endif" and not foreign:
+            inside.pop()
+        else:
+            foreign -= word == "#endif"
+            kept += [line] * all(inside)
     return kept
 
 

@@ -50,13 +50,14 @@ def main(library: Library, example: Example) -> str:
     count = len(example.times)
     width = max(len(model.channels), 1)
     lines += ["", "int main(void) {", f"    double channels[{count} * {width}];", f"    {prefix}_parameters p;"]
+    lines += [f"    static {prefix}_past past;"] * bool(model.delays)
     lines += ["    int i, j, status;", f"    {prefix}_defaults(&p);"]
     for member, value in zip(library.names.conditions, example.condition, strict=True):
         lines.append(f"    p.{member} = {number(float(value))};")
     given = [("INPUT" if model.inputs else "NULL"), ("DOSE" if model.doses else "NULL")]
     lines.append(
         f"    status = {prefix}_simulate(&p, {number(example.start)}, START, {given[0]}, {given[1]}, {count}, TIMES, "
-        f"{number(step)}, NULL, {'channels' if model.channels else 'NULL'});"
+        f"{number(step)}, NULL, {'channels' if model.channels else 'NULL'}{', &past' if model.delays else ''});"
     )
     header = ascii_text(",".join(columns))
     lines += ["    if (status) return status;", f'    printf("{header}\\n");', f"    for (i = 0; i < {count}; i++) {{"]

@@ -36,6 +36,18 @@ OWN = frozenset(
         "due",
         "carry_out",
         "cut",
+        "lags",
+        "delayed",
+        "history",
+        "piece",
+        "past",
+        "begin",
+        "late",
+        "jump",
+        "reach",
+        "mark",
+        "shortest",
+        "keep",
     ]
 )
 """What follows the prefix in names of the library itself."""

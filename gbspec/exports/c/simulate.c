@@ -42,6 +42,9 @@ typedef struct {
 #if EVENTS
     PREFIX_events events;
 #endif
+#if DELAYS
+    PREFIX_past *past;
+#endif
 } trajectory;
 
 /* When dose k of a kind arrives. */
@@ -71,10 +74,30 @@ static double next_cut(const trajectory *r, double t) {
     for (j = 0; j < PREFIX_TIMED; j++)
         if (event_time(r, j) > t && event_time(r, j) < next) next = event_time(r, j);
 #endif
+#if DELAYS
+    if (PREFIX_mark(r->past) < HUGE_VAL) {
+        const double at = arrival(PREFIX_mark(r->past), r->start, r->count, r->times);
+        if (at > t && at < next) next = at;
+    }
+#endif
     return next;
 }
+#if DELAYS
 
-/* What happens at the beginning t of a piece: doses, and then events. Returns 0, or 1 if these have no end. */
+/* Whether an input changes or a dose arrives at a time. */
+static int jumps(const trajectory *r, double t) {
+    int j, k;
+    for (j = 0; j < PREFIX_INPUTS; j++)
+        for (k = 0; k < r->inputs[j].count; k++)
+            if (r->inputs[j].times[k] == t) return 1;
+    for (j = 0; r->doses && j < PREFIX_DOSES; j++)
+        for (k = 0; k < r->doses[j].count; k++)
+            if (dose_time(r, j, k) == t) return 1;
+    return 0;
+}
+#endif
+
+/* What happens at the beginning t of a piece: doses, and then events. Returns 0, or 3 if these have no end. */
 static int happening(trajectory *r, double t, const double *u, double *x) {
     int j, k;
     for (j = 0; r->doses && j < PREFIX_DOSES; j++)
@@ -83,24 +106,38 @@ static int happening(trajectory *r, double t, const double *u, double *x) {
 #if EVENTS
     for (j = 0; j < PREFIX_TIMED; j++)
         if (event_time(r, j) == t) r->events.pending[j] = 1;
-    return PREFIX_carry_out(r->p, t, u, x, &r->events) < 0;
+    return PREFIX_carry_out(r->p, t, u, x, &r->events) < 0 ? 3 : 0;
 #else
     (void)u;
+#if DELAYS
+    PREFIX_reach(r->p, t + 1e-9 * (fabs(r->times[r->count - 1]) + r->times[r->count - 1] - r->start), r->past);
+    if (jumps(r, t)) PREFIX_jump(r->p, t, r->past);
+#endif
     return 0;
 #endif
 }
 
-/* Equal steps from `from` to `to` within a piece that begins at `begin`. Returns 0, or 1 if events have no end. */
+/* Equal steps from `from` to `to` within a piece that begins at `begin`. Returns 0, or 3 if events have no end,
+   4 if the past has no room. */
 static int advance(trajectory *r, const double *value, const double *slope, double begin, double from, double to, double *x) {
-    const double wanted = ceil((to - from) / r->max_step - 1e-9);
+#if DELAYS
+    const double least = PREFIX_shortest(r->p), longest = r->max_step < least ? r->max_step : least;
+#else
+    const double longest = r->max_step;
+#endif
+    const double wanted = ceil((to - from) / longest - 1e-9);
     const long steps = wanted > 1.0 ? (long)wanted : 1;
     const double h = (to - from) / (double)steps;
     long i;
     for (i = 0; i < steps; i++) {
 #if EVENTS
-        if (PREFIX_cut(r->p, begin, value, slope, from + (double)i * h, h, x, &r->events)) return 1;
+        if (PREFIX_cut(r->p, begin, value, slope, from + (double)i * h, h, x, &r->events)) return 3;
+#else
+#if DELAYS
+        if (PREFIX_move(r->p, begin, value, slope, from + (double)i * h, h, x, r->past)) return 4;
 #else
         PREFIX_move(r->p, begin, value, slope, from + (double)i * h, h, x);
+#endif
 #endif
     }
     return 0;
@@ -109,7 +146,7 @@ static int advance(trajectory *r, const double *value, const double *slope, doub
 /* 1: a call with wrong arguments. */
 static int wrong(const trajectory *r) {
     int i;
-    if (r->count < 1 || !(r->max_step > 0.0) || r->times[0] < r->start) return 1;
+    if (r->count < 1 || !(r->max_step > 0.0) || !(r->times[0] >= r->start)) return 1;
     for (i = 1; i < r->count; i++)
         if (!(r->times[i] > r->times[i - 1])) return 1;
     for (i = 0; i < PREFIX_INPUTS; i++)
@@ -119,37 +156,50 @@ static int wrong(const trajectory *r) {
 
 int PREFIX_simulate(const PREFIX_parameters *p, double start, const double *x0, const PREFIX_course *inputs,
                     const PREFIX_course *doses, int count, const double *times, double max_step, double *states,
-                    double *channels) {
-    double x[PREFIX_STATES], value[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1], begin = start, t = start, cut, to;
+                    double *channelsPAST) {
+    double x[PREFIX_STATES], value[PREFIX_INPUTS + 1], slope[PREFIX_INPUTS + 1], begin = start, t = start, cut = start, to;
     trajectory r;
-    int next = 0, i;
+    int next = 0, opens = 1, status, i; /* whether a piece begins */
     r.p = p, r.inputs = inputs, r.doses = doses, r.times = times;
     r.start = start, r.max_step = max_step, r.count = count;
     if (wrong(&r)) return 1;
+#if DELAYS
+    if (!(PREFIX_shortest(p) > 0.0)) return 1;
+    r.past = past;
+#endif
     for (i = 0; i < PREFIX_STATES; i++) x[i] = x0[i];
     PREFIX_initial(p, x);
     PREFIX_doses(p, r.fraction, r.lag);
-    for (cut = start;;) {
-        if (t == cut) /* inputs are those after their changes */
+    for (;;) {
+        if (opens) /* inputs are those after their changes */
             for (i = 0; i < PREFIX_INPUTS; i++) value[i] = course(&inputs[i], LINEAR[i], t, &slope[i]);
 #if EVENTS
         if (t == start) PREFIX_arm(p, t, x, value, &r.events);
 #endif
+#if DELAYS
+        if (t == start) PREFIX_begin(p, t, x, value, past);
+#endif
         if (times[next] == t) {
-            double u[PREFIX_INPUTS + 1], ignored;
+            double u[WIDTH + 1], ignored;
             for (i = 0; i < PREFIX_INPUTS; i++) u[i] = course(&inputs[i], LINEAR[i], t, &ignored);
+#if DELAYS
+            PREFIX_late(p, past, t, begin < t ? begin : start - 1.0, u + PREFIX_INPUTS);
+#endif
             for (i = 0; states && i < PREFIX_STATES; i++) states[next * PREFIX_STATES + i] = x[i];
             if (channels) PREFIX_observe(p, t, x, u, channels + next * PREFIX_CHANNELS);
             if (++next == count) break;
         }
-        if (t == cut) {
-            if (happening(&r, t, value, x)) return 3;
+        if (opens) {
+            status = happening(&r, t, value, x);
+            if (status) return status;
             begin = t;
             cut = next_cut(&r, t);
         }
         to = times[next] < cut ? times[next] : cut;
-        if (advance(&r, value, slope, begin, t, to, x)) return 3;
+        status = advance(&r, value, slope, begin, t, to, x);
+        if (status) return status;
         t = to;
+        opens = t == cut;
     }
     for (i = 0; i < PREFIX_STATES; i++)
         if (!isfinite(x[i])) return 2;

@@ -49,6 +49,12 @@ def errors(compiled: Compiled, library: Library, count: int = POINTS, seed: int 
     if library.model.algebraics:
         solved = compiled.values("algebraic", points, known.algebraics[0].shape[1])
         found.append(compare("the algebraic variables", solved, known.algebraics, ACCEPTED))
+    if library.model.delays:
+        lags, late = compiled.delays(points)
+        found += [
+            compare("the delays", lags, known.lags, ACCEPTED),
+            compare("what is delayed", late, known.delayed, ACCEPTED),
+        ]
     for name, word, pair in (
         ("rhs", "derivatives of the right-hand side", known.rhs_along),
         ("observe", "derivatives of the channels", known.observe_along),
@@ -63,10 +69,10 @@ def _steps(
     compiled: Compiled, points: Points, known: Reference, path: Course, accepted: float = ACCEPTED_STEPS
 ) -> list[Quantity]:
     """The errors of states and channels along a course from the first point."""
-    states = known.trajectory(path)
+    states, late = known.trajectory(path)
     got, channels = compiled.simulate(points, path)
     sizes = np.abs(states).max(axis=0, keepdims=True) + np.abs(states)
-    expected = known.channels(path, states)
+    expected = known.channels(path, states, late)
     large = np.abs(expected).max(axis=0, keepdims=True) if len(expected) else expected
     return [
         compare("steps", got, (states, sizes), accepted),

@@ -6,3 +6,4 @@ from .points import draw as draw
 from .points import own as own
 from .reference import Course as Course
 from .reference import Reference as Reference
+from .reference import with_past as with_past

@@ -17,7 +17,8 @@ SPREAD = 0.05
 
 @dataclass(frozen=True)
 class Points:
-    """R points: times [R], states [R, n], conditions, inputs, constants [R, m], and a direction at each, likewise."""
+    """R points: times [R], states [R, n], conditions, inputs, constants [R, m], and a direction at each, likewise. With
+    delays the delayed values stand behind the inputs."""
 
     t: Array
     x: Array
@@ -48,10 +49,11 @@ def draw(exported: Exported, count: int, seed: int = 0, spread: float = SPREAD) 
     ]
     drawn = [box[:, 0] + (box[:, 1] - box[:, 0]) * random.random((count, len(box))) for box in boxes]
     drawn[1] = whole(model.conditions, drawn[1])
+    drawn[2] = np.concatenate([drawn[2], random.random((count, len(model.delays)))], axis=1)
     own = exported.constants * (1 + spread * random.uniform(-1, 1, (count, len(exported.constants))))
     own[0] = exported.constants
     t = exported.start + random.random(count)
-    sizes = [1, *(len(box) for box in boxes), len(exported.constants)]
+    sizes = [1, *(part.shape[1] for part in drawn), len(exported.constants)]
     directions = [random.standard_normal((count, size)) for size in sizes]
     along = (directions[0][:, 0], directions[1], directions[2], directions[3], directions[4])
     return Points(t, drawn[0], drawn[1], drawn[2], own, along)
@@ -61,6 +63,7 @@ def own(exported: Exported) -> Points:
     """The point at which the model starts, with its own values."""
     values = (exported.states, exported.conditions, exported.inputs, exported.constants)
     x, condition, inputs, constants = (np.array(value, dtype=np.float64)[None] for value in values)
+    inputs = np.append(inputs, np.ones((1, len(exported.model.delays))), axis=1)
     still = (np.zeros(1), 0 * x, 0 * condition, 0 * inputs, 0 * constants)
     return Points(np.array([exported.start]), x, condition, inputs, constants, still)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,27 @@ from gbspec.exports.subject import Exported
 from gbspec.ir import Expr
 
 Pair = tuple[Array, Array]
+
+
+def with_past(exported: Exported, points: Points) -> Points:
+    """The points with the delayed values of a trajectory that was just begun, and their derivatives along the points'
+    directions: they depend on the time and on constants, but not on the state."""
+    if not exported.model.delays:
+        return points
+    evaluator, count = Evaluator(exported.instance), len(exported.model.inputs)
+    x0 = evaluator.initial(exported.states, exported.conditions)
+    late, moved = evaluator.late_at_first(exported.start), []
+    values, slopes = [], late.jacobian()
+    for row, direction in zip(zip(*points.arguments, strict=True), zip(*points.along, strict=True), strict=True):
+        given = (row[0], x0, row[2], exported.inputs, row[4])
+        values.append(np.array(late(*given)).ravel())
+        blocks = slopes(*given, np.zeros(late.size_out(0)))
+        kept = [(np.array(blocks[i]), np.atleast_1d(direction[i])) for i in (0, 2, 4)]
+        moved.append(sum((block @ part for block, part in kept), np.zeros(len(values[-1]))))
+    inputs = np.concatenate([points.inputs[:, :count], np.array(values)], axis=1)
+    t, x, condition, given_inputs, constants = points.along
+    along = (t, x, condition, np.concatenate([given_inputs[:, :count], np.array(moved)], axis=1), constants)
+    return replace(points, inputs=inputs, along=along)
 
 
 @dataclass(frozen=True)
@@ -65,6 +86,27 @@ class Reference:
         found = instance.equations.algebraic(math, t, x, condition, inputs, tuple(constants.T), networks)
         values = np.asarray(found, dtype=np.float64)
         return values, np.abs(values) + 1.0
+
+    @cached_property
+    def lags(self) -> Pair:
+        """How long delays are [R, lags], and their size."""
+        _, _, condition, _, constants = self.points.arguments
+        instance = self.exported.instance
+        found = instance.equations.lags(instance.arithmetic("numpy"), condition, tuple(constants.T))
+        values = np.stack(
+            [np.broadcast_to(np.asarray(lag, dtype=np.float64), len(self.points)) for lag in found], axis=1
+        )
+        return values, np.abs(values)
+
+    @cached_property
+    def delayed(self) -> Pair:
+        """What is delayed [R, delays], at its own time, and its size."""
+        t, x, condition, inputs, constants = self.points.arguments
+        instance, own = self.exported.instance, inputs[:, : len(self.exported.model.inputs)]
+        math, networks = instance.arithmetic("numpy"), instance.numpy_networks()
+        found = instance.equations.delayed(math, t, x, condition, own, tuple(constants.T), networks)
+        values = np.asarray(found, dtype=np.float64)
+        return values, np.abs(values) + np.abs(x).max(axis=1, keepdims=True)
 
     def _module(self, name: str) -> Array:
         """A method of the equations over numpy's arrays."""
@@ -126,9 +168,10 @@ class Reference:
             arguments = [np.broadcast_to(self._value(a), len(self.points)) for a in node.args]
             return self.unknown(node.func.__name__, arguments)
         model = self.exported.model
-        own = (*model.constants, *model.learnables)
-        groups = (model.states, model.conditions, model.inputs, own, model.algebraics)
-        symbols = [model.time.symbol, *(item.symbol for group in groups for item in group), *table.values()]
+        declared = (*model.states, *model.conditions, *model.inputs)
+        known = [item.symbol for item in declared] + [delay.symbol for delay in model.delays]
+        known += [item.symbol for item in (*model.constants, *model.learnables, *model.algebraics)]
+        symbols = [model.time.symbol, *known, *table.values()]
         function = sympy.lambdify(symbols, node.xreplace(table), modules="numpy", dummify=True)
         t, x, condition, inputs, constants = self.points.arguments
         inner = [self._value(app) for app in table]
@@ -163,10 +206,10 @@ class Reference:
         after = np.array(found, dtype=np.float64)
         return after, np.abs(self.points.x) + h[:, None] * self.rhs[1]
 
-    def trajectory(self, course: Course, point: int = 0) -> Array:
-        """The states [T, n] of a course from the states of a point, by the module's own steps."""
+    def trajectory(self, course: Course, point: int = 0) -> Pair:
+        """The states [T, n] of a course from the states of a point, by the module's steps, and the delayed values."""
         start = self.evaluator.initial(self.points.x[point], self.points.condition[point], self.points.constants[point])
-        return self.evaluator.integrate_fixed(
+        return self.evaluator.followed_fixed(
             start,
             course.times,
             self.points.condition[point],
@@ -177,13 +220,13 @@ class Reference:
             constants=self.points.constants[point],
         )
 
-    def channels(self, course: Course, states: Array, point: int = 0) -> Array:
-        """The channels [T, C] along states."""
+    def channels(self, course: Course, states: Array, late: Array, point: int = 0) -> Array:
+        """The channels [T, C] along states and delayed values."""
         return self.evaluator.observe_many(
             course.times,
             states,
             self.points.condition[point],
-            course.inputs_at(self.exported),
+            np.concatenate([course.inputs_at(self.exported), late], axis=1),
             self.points.constants[point],
         )
 

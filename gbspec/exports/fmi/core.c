@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#define GB_NO_ROOM "the past has no room for so many steps within a delay"
 #define ROUNDING 1e-10 /* the share of a time within which two times are equal */
 
 static double *parameters(PREFIX_parameters *p) { return (double *)p; }
@@ -30,16 +31,47 @@ void gb_reset(gb_instance *g) {
     m->step = GB_STEP;
     PREFIX_defaults(&m->p);
     m->mode = GB_INSTANTIATED;
-    g->fresh = g->endless = 0;
+    g->fresh = 0;
+    g->trouble = NULL;
 }
 
 double gb_nominal(int state) { return GB_NOMINAL[state]; }
+
+#if GB_DELAYS > 0
+/* A time on the side from which the present is seen. */
+static double side(const gb_memory *m) {
+    return m->mode == GB_RUNNING && m->time > m->event ? m->event : m->time + PREFIX_shortest(&m->p);
+}
+
+#endif
+
+/* The delayed values of the present stand behind the inputs. Just at an event they are those after it. */
+static void look_back(gb_memory *m) {
+#if GB_DELAYS > 0
+    if (m->mode != GB_RUNNING) PREFIX_begin(&m->p, m->time, m->x, m->u, &m->past);
+    PREFIX_late(&m->p, &m->past, m->time, side(m), m->u + PREFIX_INPUTS);
+#else
+    (void)m;
+#endif
+}
+
+void gb_rates(gb_instance *g, double *dx) {
+    gb_memory *m = &g->memory;
+    if (m->mode == GB_RUNNING && !g->fresh) {
+        look_back(m);
+        PREFIX_rhs(&m->p, m->time, m->x, m->u, dx);
+    } else {
+        gb_evaluate(g);
+        memcpy(dx, g->dx, sizeof g->dx);
+    }
+}
 
 /* Computes everything that follows from the memory. Before the start, states that are given by expressions follow too. */
 void gb_evaluate(gb_instance *g) {
     gb_memory *m = &g->memory;
     if (g->fresh) return;
     if (m->mode != GB_RUNNING) PREFIX_initial(&m->p, m->x);
+    look_back(m);
     PREFIX_rhs(&m->p, m->time, m->x, m->u, g->dx);
     PREFIX_observe(&m->p, m->time, m->x, m->u, g->y);
     PREFIX_functions(&m->p, m->time, m->x, m->u, g->f);
@@ -97,6 +129,55 @@ static int before(double a, double b) {
     return a < b - ROUNDING * size;
 }
 
+#if GB_DELAYS > 0
+/* After an event the next step begins. */
+static void begin_step(gb_memory *m) {
+    m->event = m->open.t = m->time;
+    memcpy(m->open.x0, m->x, sizeof m->open.x0);
+    memcpy(m->open.u0, m->u, PREFIX_INPUTS * sizeof(double));
+    memcpy(m->bent, m->slope, sizeof m->bent);
+    look_back(m);
+    PREFIX_rhs(&m->p, m->time, m->x, m->u, m->open.f0);
+}
+
+/* What jumped since the end of the last step shows again after the delays. */
+static void notice_jumps(gb_memory *m) {
+    const int inputs = memcmp(m->open.u0, m->u, PREFIX_INPUTS * sizeof(double)) != 0;
+    if (inputs && !m->past.count) memcpy(m->past.u, m->u, PREFIX_INPUTS * sizeof(double)); /* which hold before */
+    PREFIX_reach(&m->p, m->time, &m->past);
+    if (inputs || memcmp(m->open.x0, m->x, sizeof m->open.x0) || memcmp(m->bent, m->slope, sizeof m->bent))
+        PREFIX_jump(&m->p, m->time, &m->past);
+}
+
+#endif
+int gb_completed(gb_instance *g) {
+#if GB_DELAYS > 0
+    gb_memory *m = &g->memory;
+    double now[PREFIX_INPUTS + 1];
+    int i, changed = 0;
+    if (m->mode != GB_RUNNING || !(m->time > m->open.t)) return 0;
+    memcpy(now, m->u, PREFIX_INPUTS * sizeof(double));
+    for (i = 0; i < PREFIX_INPUTS; i++) /* a held input changes at the end of a step, not within it */
+        if (GB_HELD[i] && m->u[i] != m->open.u0[i]) m->u[i] = m->open.u0[i], changed = 1;
+    m->open.h = m->time - m->open.t;
+    memcpy(m->open.x1, m->x, sizeof m->open.x1);
+    memcpy(m->open.u1, m->u, PREFIX_INPUTS * sizeof(double));
+    look_back(m);
+    PREFIX_rhs(&m->p, m->time, m->x, m->u, m->open.f1);
+    if (PREFIX_keep(&m->p, &m->open, &m->past)) g->trouble = GB_NO_ROOM;
+    memcpy(m->u, now, PREFIX_INPUTS * sizeof(double));
+    m->open.t = m->time;
+    memcpy(m->open.x0, m->open.x1, sizeof m->open.x0);
+    memcpy(m->open.f0, m->open.f1, sizeof m->open.f0);
+    memcpy(m->open.u0, now, PREFIX_INPUTS * sizeof(double));
+    if (changed) {
+        PREFIX_jump(&m->p, m->time, &m->past);
+        PREFIX_rhs(&m->p, m->time, m->x, m->u, m->open.f0);
+    }
+#endif
+    return g->trouble != NULL;
+}
+
 void gb_begin(gb_instance *g, double start) {
     g->memory.time = start;
     g->memory.mode = GB_INITIALIZATION;
@@ -117,6 +198,10 @@ void gb_exit_initialization(gb_instance *g) {
 #endif
     m->mode = GB_RUNNING;
     g->fresh = 0;
+#if GB_DELAYS > 0
+    PREFIX_begin(&m->p, m->time, m->x, m->u, &m->past);
+    begin_step(m);
+#endif
 }
 
 /* Whether doses arrived now. */
@@ -135,7 +220,8 @@ static int give(gb_instance *g) {
     return given;
 }
 
-int gb_next_event(const gb_instance *g, double *time) {
+/* The time of what happens next: a dose, an event, a jump that shows again. */
+static double next_one(const gb_instance *g) {
     double next = HUGE_VAL;
     int i;
     for (i = 0; i < PREFIX_DOSES; i++)
@@ -144,25 +230,47 @@ int gb_next_event(const gb_instance *g, double *time) {
     for (i = 0; i < GB_TIMED; i++)
         if (PREFIX_due(&g->memory.p, &g->memory.events, i) < next) next = PREFIX_due(&g->memory.p, &g->memory.events, i);
 #endif
-    *time = next;
-    return next < HUGE_VAL;
+#if GB_DELAYS > 0
+    if (PREFIX_mark(&g->memory.past) < next) next = PREFIX_mark(&g->memory.past);
+#endif
+    return next;
+}
+
+int gb_next_event(const gb_instance *g, double *time) {
+    *time = next_one(g);
+#if GB_DELAYS > 0 /* no step is longer than the shortest delay, within which the past is known */
+    {
+        const double latest = g->memory.event + PREFIX_shortest(&g->memory.p);
+        if (latest < *time) *time = latest;
+    }
+#endif
+    return *time < HUGE_VAL;
 }
 
 int gb_update(gb_instance *g) {
-    int changed = give(g);
+    int changed;
+    gb_completed(g);
+    changed = give(g);
 #if GB_GUARDS + GB_TIMED > 0
     gb_memory *m = &g->memory;
     const int happened = PREFIX_carry_out(&m->p, m->time, m->u, m->x, &m->events);
-    g->endless = g->endless || happened < 0;
+    if (happened < 0) g->trouble = "events follow each other without end";
     if (happened) g->fresh = 0, changed = 1;
+#endif
+#if GB_DELAYS > 0
+    if (!(PREFIX_shortest(&g->memory.p) > 0.0)) g->trouble = "a delay is not positive";
+    notice_jumps(&g->memory);
+    begin_step(&g->memory);
+    g->fresh = 0;
 #endif
     return changed;
 }
 
 /* Quantities whose signs change at events. A guard is moved by a band, so that a condition that has just become true, or
    false, lies beyond the zero of its indicator. */
-void gb_indicators(const gb_instance *g, double *z) {
-    const gb_memory *m = &g->memory;
+void gb_indicators(gb_instance *g, double *z) {
+    gb_memory *m = &g->memory;
+    look_back(m);
     if (PREFIX_SWITCHES) PREFIX_switches(&m->p, m->time, m->x, m->u, z);
 #if GB_GUARDS > 0
     {
@@ -176,15 +284,27 @@ void gb_indicators(const gb_instance *g, double *z) {
 /* Equal steps from `from` to `to`; the inputs are those at `from`, and change by their slopes. */
 static int steps(gb_instance *g, double from, double to) {
     gb_memory *m = &g->memory;
-    const double wanted = m->step > 0.0 ? ceil((to - from) / m->step - 1e-9) : 1.0;
-    const long count = wanted > 1.0 ? (long)wanted : 1;
-    const double h = (to - from) / (double)count;
-    long k;
+    double longest = m->step > 0.0 ? m->step : to - from, wanted;
+    long k, count;
+    double h;
+#if GB_DELAYS > 0
+    if (PREFIX_shortest(&m->p) < longest) longest = PREFIX_shortest(&m->p);
+#endif
+    wanted = ceil((to - from) / longest - 1e-9);
+    count = wanted > 1.0 ? (long)wanted : 1;
+    h = (to - from) / (double)count;
     for (k = 0; k < count; k++) {
         const double t = from + (double)k * h;
 #if GB_GUARDS + GB_TIMED > 0
-        g->endless = PREFIX_cut(&m->p, from, m->u, m->slope, t, h, m->x, &m->events);
-        if (g->endless) return 1;
+        if (PREFIX_cut(&m->p, from, m->u, m->slope, t, h, m->x, &m->events)) {
+            g->trouble = "events follow each other without end";
+            return 1;
+        }
+#elif GB_DELAYS > 0
+        if (PREFIX_move(&m->p, from, m->u, m->slope, t, h, m->x, &m->past)) {
+            g->trouble = GB_NO_ROOM;
+            return 1;
+        }
 #else
         PREFIX_move(&m->p, from, m->u, m->slope, t, h, m->x);
 #endif
@@ -197,25 +317,34 @@ int gb_advance(gb_instance *g, double from, double to) {
     double t = from, next;
     int i;
     m->time = t;
+#if GB_DELAYS > 0
+    m->open.t = t;
+#endif
     while (before(t, to)) {
         gb_update(g);
-        if (!gb_next_event(g, &next) || !before(next, to)) next = to;
-        if (g->endless || steps(g, t, next)) return 1;
+        next = next_one(g);
+        if (!before(next, to)) next = to;
+        if (g->trouble || steps(g, t, next)) return 1;
         for (i = 0; i < PREFIX_INPUTS; i++) m->u[i] += m->slope[i] * (next - t);
         m->time = t = next;
+#if GB_DELAYS > 0
+        m->open.t = t; /* the step is in the past already */
+        memcpy(m->open.x0, m->x, sizeof m->open.x0);
+        memcpy(m->open.u0, m->u, PREFIX_INPUTS * sizeof(double));
+#endif
     }
     m->time = to;
     g->fresh = 0;
     for (i = 0; i < PREFIX_STATES; i++)
-        if (!(fabs(m->x[i]) < HUGE_VAL)) return 1;
-    return 0;
+        if (!(fabs(m->x[i]) < HUGE_VAL)) g->trouble = "the states are not finite";
+    return g->trouble != NULL;
 }
 
 int gb_along(gb_instance *g, const unsigned *unknowns, size_t n_unknowns, const unsigned *knowns, size_t n_knowns,
              const double *seed, double *found) {
     gb_memory *m = &g->memory;
     PREFIX_parameters dp;
-    double dx[PREFIX_STATES], own[PREFIX_STATES], du[PREFIX_INPUTS + 1] = {0.0}, dt = 0.0, outer = 0.0;
+    double dx[PREFIX_STATES], own[PREFIX_STATES], du[PREFIX_INPUTS + GB_DELAYS + 1] = {0.0}, dt = 0.0, outer = 0.0;
     double rates[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1], solved[GB_ALGEBRAICS + 1];
     size_t i;
     memset(&dp, 0, sizeof dp);
@@ -234,6 +363,13 @@ int gb_along(gb_instance *g, const unsigned *unknowns, size_t n_unknowns, const 
     (void)outer;
     if (m->mode == GB_RUNNING) memcpy(dx, own, sizeof dx);
     else PREFIX_initial_along(&m->p, m->x, &dp, own, dx);
+#if GB_DELAYS > 0
+    {
+        const int running = m->mode == GB_RUNNING;
+        PREFIX_late_along(&m->p, &m->past, m->time, side(m), &dp, dt, running ? NULL : dx, running ? NULL : du,
+                          du + PREFIX_INPUTS);
+    }
+#endif
     PREFIX_rhs_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, rates);
     PREFIX_observe_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, y);
     PREFIX_functions_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, f);

@@ -36,7 +36,8 @@ def description(variables: Variables, version: Version, identifier: str, token: 
     word = "state" if version == "2" else "State"
     common = {"modelIdentifier": identifier, **{f"{key}{word}": value for key, value in states.items()}}
     common |= {"providesDirectionalDerivative" + ("s" if version == "3" else ""): "true"}
-    exchange = Xml.SubElement(root, "ModelExchange", common)
+    kept = {"needsCompletedIntegratorStep": "true"} if version == "3" and model.delays else {}
+    exchange = Xml.SubElement(root, "ModelExchange", {**common, **kept})
     together = {"canHandleVariableCommunicationStepSize": "true"}
     together |= {"canInterpolateInputs": "true"} if version == "2" else {}
     together |= {"fixedInternalStepSize": _number(exported.step)} if version == "3" and exported.step else {}

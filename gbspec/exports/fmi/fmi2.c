@@ -131,6 +131,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
     memcpy(&G->memory, state, sizeof(gb_memory));
     G->fresh = 0;
+    G->trouble = NULL;
     return fmi2OK;
 }
 
@@ -182,7 +183,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     info->terminateSimulation = fmi2False;
     info->nominalsOfContinuousStatesChanged = fmi2False;
     info->valuesOfContinuousStatesChanged = gb_update(G) ? fmi2True : fmi2False;
-    if (G->endless) return complain(c, GB_ENDLESS);
+    if (G->trouble) return complain(c, G->trouble);
     info->nextEventTimeDefined = gb_next_event(G, &next) ? fmi2True : fmi2False;
     info->nextEventTime = next;
     return fmi2OK;
@@ -194,9 +195,9 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean final, fmi2Boolean *event, fmi2Boolean *terminate) {
-    (void)c, (void)final;
+    (void)final;
     *event = *terminate = fmi2False;
-    return fmi2OK;
+    return gb_completed(G) ? complain(c, G->trouble) : fmi2OK;
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return gb_set(G, VR_TIME, time) ? fmi2Error : fmi2OK; }
@@ -210,12 +211,7 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
     if (n != PREFIX_STATES) return complain(c, "this is not the number of states");
-    if (G->fresh) memcpy(dx, G->dx, n * sizeof(double));
-    else if (G->memory.mode == GB_RUNNING) PREFIX_rhs(&G->memory.p, G->memory.time, G->memory.x, G->memory.u, dx);
-    else {
-        gb_evaluate(G);
-        memcpy(dx, G->dx, n * sizeof(double));
-    }
+    gb_rates(G, dx);
     return fmi2OK;
 }
 
@@ -260,7 +256,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean final) {
     (void)final;
-    return gb_advance(G, time, time + step) ? complain(c, G->endless ? GB_ENDLESS : "the states are not finite") : fmi2OK;
+    return gb_advance(G, time, time + step) ? complain(c, G->trouble) : fmi2OK;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) { NOT_THERE("fmi2CancelStep"); }

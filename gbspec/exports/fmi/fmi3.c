@@ -196,6 +196,7 @@ fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
     memcpy(&G->memory, state, sizeof(gb_memory));
     G->fresh = 0;
+    G->trouble = NULL;
     return fmi3OK;
 }
 
@@ -248,15 +249,15 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Bool
                                     fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *time) {
     *again = *terminate = *nominals = fmi3False;
     *values = gb_update(G) ? fmi3True : fmi3False;
-    if (G->endless) return complain(c, GB_ENDLESS);
+    if (G->trouble) return complain(c, G->trouble);
     *defined = gb_next_event(G, time) ? fmi3True : fmi3False;
     return fmi3OK;
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean final, fmi3Boolean *event, fmi3Boolean *terminate) {
-    (void)c, (void)final;
+    (void)final;
     *event = *terminate = fmi3False;
-    return fmi3OK;
+    return gb_completed(G) ? complain(c, G->trouble) : fmi3OK;
 }
 
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { return gb_set(G, VR_TIME, time) ? fmi3Error : fmi3OK; }
@@ -270,12 +271,7 @@ fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t
 
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n) {
     if (n != PREFIX_STATES) return complain(c, "this is not the number of states");
-    if (G->memory.mode == GB_RUNNING && !G->fresh) {
-        PREFIX_rhs(&G->memory.p, G->memory.time, G->memory.x, G->memory.u, dx);
-    } else {
-        gb_evaluate(G);
-        memcpy(dx, G->dx, n * sizeof(double));
-    }
+    gb_rates(G, dx);
     return fmi3OK;
 }
 
@@ -318,7 +314,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Bo
     (void)final;
     *event = *terminate = *early = fmi3False;
     *last = time + step;
-    return gb_advance(G, time, time + step) ? complain(c, G->endless ? GB_ENDLESS : "the states are not finite") : fmi3OK;
+    return gb_advance(G, time, time + step) ? complain(c, G->trouble) : fmi3OK;
 }
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int32 order[],

@@ -85,9 +85,10 @@ def _sources(library: Library, variables: Variables, version: Version, token: st
     programs = library.programs
     defined += f"#define GB_GUARDS {len(programs.conditional)}\n#define GB_TIMED {len(programs.timed)}\n"
     defined += f"#define GB_ALGEBRAICS {library.sizes['ALGEBRAICS']}\n"
+    defined += f"#define GB_DELAYS {library.sizes['DELAYS']}\n"
     defined += f"#define GB_START {start[0]}\n#define GB_STEP {start[1]}\n\n"
     texts["gb_core.h"] = texts["gb_core.h"].replace("/* Value references", defined + "/* Value references", 1)
-    texts["gb_core.c"] = texts["gb_core.c"].replace("#define ROUNDING", f"{tables}\n\n#define ROUNDING", 1)
+    texts["gb_core.c"] = texts["gb_core.c"].replace("#define GB_NO_ROOM", f"{tables}\n\n#define GB_NO_ROOM", 1)
     kept = (*HEADERS[version], "LICENSE.txt")
     return texts | {name: _text(f"headers/{name}") for name in kept}
 
@@ -103,6 +104,9 @@ def _tables(library: Library, variables: Variables) -> list[str]:
     lines = table("double", "GB_X", map(number, exported.states))
     lines += table("double", "GB_NOMINAL", map(number, nominal))
     lines += table("double", "GB_U", map(number, exported.inputs if len(exported.inputs) else [0.0]))
+    if model.delays:
+        held = [str(int(item.interpolation == "held")) for item in model.inputs]
+        lines += table("int", "GB_HELD", held or ["0"])
     return lines + table("int", "GB_DOSE_STATE", [str(model.state_index[d.state]) for d in model.doses] or ["0"])
 
 

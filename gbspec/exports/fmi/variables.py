@@ -224,13 +224,15 @@ class Variables:
     def _refs(self, symbols: Iterable[sympy.Symbol]) -> tuple[int, ...]:
         """The value references of states, inputs and time among symbols: what is known while time passes."""
         moving = {*range(self.first["derivative"]), *range(self.first["input"], self.first["parameter"])}
-        return tuple(sorted({self.symbols[s] for s in symbols} & moving))
+        late = {delay.symbol for delay in self.model.delays}  # which change with the time alone: the past is known
+        refs = {0 if s in late else self.symbols[s] for s in symbols}
+        return tuple(sorted(refs & moving))
 
     def _initially(self, symbols: Iterable[sympy.Symbol]) -> tuple[int, ...]:
         """The value references of what is known at the start: states that are calculated count by what they are of."""
         starts = self.programs.dependencies(self.programs.initial)
         found: set[sympy.Symbol] = set()
-        for symbol in symbols:
+        for symbol in self.programs.before(symbols):
             index = self.model.state_index.get(symbol.name) if symbol in self._calculated else None
             found |= {symbol} if index is None else starts[index]
         return tuple(sorted(self.symbols[s] for s in found))

@@ -10,7 +10,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.backends import CompilerError
-from gbspec.exports.checking import Points, Quantity, Reference, compare, draw
+from gbspec.exports.checking import Points, Quantity, Reference, compare, draw, with_past
 from gbspec.exports.fmi.description import Version
 from gbspec.exports.fmi.variables import Variables
 
@@ -22,21 +22,21 @@ Real, Reference32, Count = ctypes.c_double, ctypes.c_uint32, ctypes.c_size_t
 class Unit:
     """An instance for model exchange of a unit in a shared library."""
 
-    def __init__(self, path: Path, version: Version, token: str) -> None:
+    def __init__(self, path: Path, version: Version, token: str, start: float) -> None:
         self._dll, self.version = ctypes.CDLL(str(path)), version
         create = self._dll["fmi2Instantiate" if version == "2" else "fmi3InstantiateModelExchange"]
         create.restype = ctypes.c_void_p
-        start = (b"check", 0, token.encode(), None, None, 0, 0) if version == "2" else None
+        given = (b"check", 0, token.encode(), None, None, 0, 0) if version == "2" else None
         self._instance = ctypes.c_void_p(
-            create(*start) if start else create(b"check", token.encode(), None, False, False, None, None)
+            create(*given) if given else create(b"check", token.encode(), None, False, False, None, None)
         )
         if not self._instance:
             raise CompilerError("the compiled unit makes no instance")
         if version == "2":
-            self._call("SetupExperiment", 0, Real(0.0), Real(0.0), 0, Real(0.0))
+            self._call("SetupExperiment", 0, Real(0.0), Real(start), 0, Real(0.0))
             self._call("EnterInitializationMode")
         else:
-            self._call("EnterInitializationMode", False, Real(0.0), Real(0.0), False, Real(0.0))
+            self._call("EnterInitializationMode", False, Real(0.0), Real(start), False, Real(0.0))
         self._call("ExitInitializationMode")
 
     def _call(self, name: str, *arguments: object) -> int:
@@ -79,9 +79,9 @@ def verify(binary: bytes, version: Version, token: str, variables: Variables) ->
     with tempfile.TemporaryDirectory(prefix="gbspec-fmu-", ignore_cleanup_errors=True) as folder:
         path = Path(folder) / "unit.so"
         path.write_bytes(binary)
-        unit = Unit(path, version, token)
+        unit = Unit(path, version, token, variables.exported.start)
         try:
-            return _errors(unit, variables, draw(variables.exported, POINTS, 1))
+            return _errors(unit, variables, with_past(variables.exported, draw(variables.exported, POINTS, 1)))
         finally:
             unit.free()
 
@@ -89,6 +89,7 @@ def verify(binary: bytes, version: Version, token: str, variables: Variables) ->
 def _errors(unit: Unit, variables: Variables, points: Points) -> list[Quantity]:
     known = Reference(variables.exported, variables.library.programs, points)
     first, model = variables.first, variables.model
+    count = len(model.inputs)
     groups = (("state", model.states), ("parameter", model.conditions), ("input", model.inputs))
     knowns = [first[kind] + i for kind, items in groups for i in range(len(items))]
     offset = first["parameter"] + len(model.conditions)
@@ -97,9 +98,9 @@ def _errors(unit: Unit, variables: Variables, points: Points) -> list[Quantity]:
     channels = [first["channel"] + i for i in range(len(model.channels))]
     values, slopes = [], []
     for row, direction in zip(zip(*points.arguments, strict=True), zip(*points.along, strict=True), strict=True):
-        unit.set(knowns, np.concatenate(row[1:]), row[0])
+        unit.set(knowns, np.concatenate([*row[1:3], row[3][:count], row[4]]), row[0])
         values.append(unit.get([*rates, *channels]))
-        seed = np.append(np.concatenate(direction[1:]), direction[0])
+        seed = np.concatenate([*direction[1:3], direction[3][:count], direction[4], [direction[0]]])
         slopes.append(unit.along([*rates, *channels], [*knowns, 0], seed))
     pairs = [
         tuple(np.concatenate(both, axis=1) for both in zip(one, other, strict=True))

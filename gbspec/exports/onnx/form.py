@@ -15,14 +15,19 @@ from gbspec.exports.programs import Programs
 from gbspec.exports.subject import Exported
 from gbspec.ir import Model, Unknown
 
+OF_DELAYS = ("delayed", "lags")
+"""What is delayed, at its own time, and for how long; both are looked up by whoever keeps the past."""
+OWN = ("rhs", "observe", "step", *OF_DELAYS)
+
 
 def parts(model: Model) -> dict[str, Unknown | None]:
     """The graphs of a model by name; those of learned functions with the unknown."""
     found: dict[str, Unknown | None] = {"rhs": None, "observe": None, "step": None}
     if not model.channels:
         del found["observe"]
+    found |= dict.fromkeys(OF_DELAYS) if model.delays else {}
     for unknown in model.unknowns:
-        found[f"function_{unknown.name}" if unknown.name in ("rhs", "observe", "step") else unknown.name] = unknown
+        found[f"function_{unknown.name}" if unknown.name in OWN else unknown.name] = unknown
     return found
 
 
@@ -63,26 +68,32 @@ class _Writer:
         return graph.bytes(origin, f"{part} of {self.model.title or self.model.name}")
 
     def _values(self, graph: Graph, part: str) -> None:
-        """`rhs` or `observe`: (t, x, condition, inputs, constants) -> values."""
-        x = graph.input("x", len(self.model.states))
-        place = self._place(graph, self._time(graph), graph.columns(x, len(self.model.states)), "inputs")
-        flat: Flat = self.programs.rhs if part == "rhs" else self.programs.observe
-        graph.output("dx" if part == "rhs" else "y", Equations(graph, self.exported).add(flat, place))
+        """`rhs`, `observe` or `delayed`: (t, x, condition, inputs, constants) -> values; delayed values stand behind
+        the inputs of the first two. `lags`: (t, condition, constants) -> values; the batch is that of the times."""
+        flat: Flat = getattr(self.programs, part)
+        size = len(self.model.states)
+        x = [] if part == "lags" else graph.columns(graph.input("x", size), size)
+        t = self._time(graph)
+        width = len(self.model.inputs) + (0 if part in OF_DELAYS else len(self.model.delays))
+        place = self._place(graph, t, x, *(["inputs"] if width and part != "lags" else []), width=width)
+        name = {"rhs": "dx", "observe": "y"}.get(part, part)
+        graph.output(name, Equations(graph, self.exported).add(flat, place))
 
     def _time(self, graph: Graph) -> str:
         return graph.op("Unsqueeze", graph.input("t", None), graph.axis())
 
-    def _place(self, graph: Graph, t: str, x: list[str], *inputs: str) -> Callable[[Leaf], str]:
+    def _place(self, graph: Graph, t: str, x: list[str], *inputs: str, width: int = 0) -> Callable[[Leaf], str]:
         """The values of leaves; the inputs of the graph are added for conditions, inputs and constants."""
         model, table = self.model, {"time": [t], "state": x}
         if model.conditions:
             table["condition"] = graph.columns(graph.input("condition", len(model.conditions)), len(model.conditions))
-        if model.inputs and inputs:
-            table["input"] = graph.columns(graph.input(inputs[0], len(model.inputs)), len(model.inputs))
+        if inputs:
+            given = graph.columns(graph.input(inputs[0], width), width)
+            table |= {"input": given, "delay": given[len(model.inputs) :]}
         if model.constant_names:
             constants = graph.optional("constants", self.exported.constants)
             table["constant"] = graph.columns(constants, len(model.constant_names))
-        return lambda leaf: table[leaf.kind][leaf.index]
+        return lambda leaf: _known(table, leaf)
 
     def _function(self, graph: Graph, unknown: Unknown) -> None:
         """A learned function: (arguments, constants) -> value."""
@@ -102,9 +113,9 @@ class _Writer:
         x = graph.columns(graph.input("x", len(model.states)), len(model.states))
         t, h = self._time(graph), graph.op("Unsqueeze", graph.input("h", None), graph.axis())
         base = self._place(graph, t, x)
-        at_nodes = []
-        for name in method.input_names if model.inputs else ():
-            at_nodes.append(graph.columns(graph.input(name, len(model.inputs)), len(model.inputs)))
+        at_nodes, width = [], len(model.inputs) + len(model.delays)
+        for name in method.input_names if width else ():
+            at_nodes.append(graph.columns(graph.input(name, width), width))
         equations = Equations(graph, self.exported)
         ops, slopes = equations.operators, list[list[str]]()
         stages = method.advancing
@@ -125,13 +136,14 @@ class _Writer:
             given = at_nodes[method.nodes.index(method.c[q])] if at_nodes else []
 
             def leaf_of(leaf: Leaf, place: list[str] = place, time: str = time, given: list[str] = given) -> str:
-                table = {"state": place, "time": [time], "input": given}
-                return table[leaf.kind][leaf.index] if leaf.kind in table else base(leaf)
+                late = given[len(model.inputs) :]
+                table = {"state": place, "time": [time], "input": given, "delay": late}
+                return _known(table, leaf) if leaf.kind in table else base(leaf)
 
             slopes.append(equations.add(self.programs.rhs, leaf_of))
         graph.output("x_next", ahead([float(b) for b in method.b[:stages]]))
 
 
 def _known(table: dict[str, list[str]], leaf: Leaf) -> str:
-    """The value of a leaf of a learned function, which has no states, inputs or time of its own."""
-    return table[leaf.kind][leaf.index] if leaf.kind in table else ""
+    """The value of a leaf; empty for one that the graph does not have: learned functions have no states."""
+    return table[leaf.kind][leaf.index] if leaf.index < len(table.get(leaf.kind, ())) else ""

@@ -41,6 +41,10 @@ def verify(
             values, pair, name = run(data, feeds(exported, points)), known.rhs, "the right-hand side"
         elif part == "observe":
             values, pair, name = run(data, feeds(exported, points)), known.observe, "the channels"
+        elif part == "lags":
+            values, pair, name = run(data, feeds(exported, points)), known.lags, "the delays"
+        elif part == "delayed":
+            values, pair, name = run(data, feeds(exported, points, delayed=False)), known.delayed, "what is delayed"
         else:
             h = known.sizes_of_steps(exported.step or STEP)
             values, pair, name = run(data, step_feeds(exported, points, h)), known.step(h), "a step"
@@ -56,9 +60,10 @@ def _arguments(exported: Exported, unknown: Unknown) -> Array:
     return np.asarray(low + (high - low) * np.random.default_rng(1).random((POINTS, len(low))))
 
 
-def feeds(exported: Exported, points: Points) -> dict[str, Array]:
-    """The inputs of a graph of values; constants are the exported ones."""
-    given = {"t": points.t, "x": points.x, "condition": points.condition, "inputs": points.inputs}
+def feeds(exported: Exported, points: Points, *, delayed: bool = True) -> dict[str, Array]:
+    """The inputs of a graph of values, with delayed values behind them; constants are the exported ones."""
+    inputs = points.inputs if delayed else points.inputs[:, : len(exported.model.inputs)]
+    given = {"t": points.t, "x": points.x, "condition": points.condition, "inputs": inputs}
     return {**given, "constants": exported.constants[None, :]}
 
 
