@@ -78,7 +78,7 @@ def test_segments_share_their_end_rows_and_cover_everything() -> None:
 
 
 def test_later_segments_have_only_their_own_doses() -> None:
-    data = drive_data(1000, 40.0)
+    data = drive_data(60)
     item = replace(data.items[0], doses=(DoseEvents(np.array([0.0, 6.0]), np.array([1.0, 2.0])),))
     parts, _, first = cut(replace(data, items=(item,)), 60, everywhere=True)
     assert first.tolist() == [0, 60]

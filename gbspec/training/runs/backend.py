@@ -15,11 +15,13 @@ from gbspec.training.engines import Choice, choose, device_of, few, linearise, p
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress
-from gbspec.training.recipe import Context, Planned, build_context, plan
+from gbspec.training.recipe import Context, Planned, build_context, initial, plan
 from gbspec.training.stages import StageName
 
 COMPILATION = 3.0
 """Seconds that the compilation of a kernel takes; it is not worth it for a fit that the torch graph does in less."""
+PREPARATION = 1.0
+"""Seconds that the first run of an engine spends at most on preparations."""
 
 INTERVALS = frozenset(
     {StageName.ADAM, StageName.IMPUTED, StageName.TEACHER, StageName.HALF_STEP, StageName.BLEND, StageName.AS_ASKED}
@@ -48,9 +50,9 @@ def faster_backend(
     context = build_context(model, module, trajectories, replace(options, backend="torch"), options.seed)
     if not few(model, options, context.packed().substeps):
         return None
-    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
-    parameters = context.parameters(fixed)
-    theta, stages = parameters.vector(context.module.weights), plan(context, parameters)
+    # Networks have the scales of their arguments, since without them solutions may take far more steps.
+    parameters, theta = initial(context)
+    stages = plan(context, parameters)
     by_torch = expected_seconds(context, context.choice, parameters, theta, stages)
     if by_torch <= COMPILATION:
         return None
@@ -85,9 +87,12 @@ def expected_seconds(
 
 
 def _shortest(work: Callable[[], object]) -> float:
-    """The seconds of the second of two runs, or of the first if that was shorter: the first one also prepares."""
-    times = []
-    for _ in range(2):
+    """The seconds of the second of two runs, or of the first if that was shorter: the first one also prepares.
+
+    A run that takes longer than preparations do is not repeated.
+    """
+    times: list[float] = []
+    while len(times) < 2 and min(times, default=0.0) < PREPARATION:
         began = clock()
         work()
         times.append(clock() - began)

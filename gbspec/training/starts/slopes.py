@@ -78,7 +78,7 @@ def _with_delayed(model: Model, symbols: set[sympy.Symbol]) -> set[sympy.Symbol]
 def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: Array) -> Points:
     """Evenly spaced points within the common span of the curves of a trajectory's required states.
 
-    States without curves have the values `guess` [N, n_states].
+    States without curves have the values `guess` [N, n_states]. Where no state has one, the points span trajectories.
     """
     equations = comparable_balances(model, curves)
     covered = [i for i in range(len(model.states)) if curves.covers(i)]
@@ -87,9 +87,11 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
     for i, item in enumerate(trajectories.items):
         found = [curves.items[i][state] for state in covered]
         present = [curve for curve in found if curve is not None]
-        if not present or len(present) < len(found):
+        if len(present) < len(found):
             continue
-        low, high = max(c.low for c in present), min(c.high for c in present)
+        # Without any curve there are still the points of the conditions and inputs.
+        low = max((c.low for c in present), default=item.start)
+        high = min((c.high for c in present), default=item.end)
         if high <= low:
             continue
         count = min(share, max(min(4 * len(item.times), LEAST), len(item.times)))

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_smoothing_spl
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.ir import Model
+from gbspec.training.starts.readings import readings
 
 Curve = Callable[[Array], Array]
 
@@ -54,24 +55,25 @@ class Curves:
 
 
 def fit_curves(model: Model, trajectories: Trajectories, smooth: bool = False) -> Curves:
-    """Fits all curves, interpolating or smoothing (where a series is long enough for that)."""
-    items = []
+    """Fits all curves, interpolating or smoothing (where a series is long enough for that).
+
+    Of states that are measured directly, and of those whose values formulas of channels give.
+    """
+    direct = {channel.state: i for i, channel in enumerate(model.channels) if channel.state is not None}
+    through, items = readings(model), []
     for item in trajectories.items:
         row: list[StateCurve | None] = []
         for state in range(len(model.states)):
-            channels = [i for i, c in enumerate(model.channels) if c.state == state]
-            t, y = _series(item.times, item.values[:, channels[-1:]])
+            values = np.full(len(item.times), np.nan)
+            if state in direct:
+                values = item.values[:, direct[state]]
+            elif state in through:
+                values = through[state].values(item.values[:, through[state].channel], item.condition)
+            seen = np.isfinite(values)
+            t, y = item.times[seen], values[seen]
             row.append(curve_of(t, y, smoothed(t, y) if smooth else None))
         items.append(tuple(row))
     return Curves(tuple(items))
-
-
-def _series(times: Array, values: Array) -> tuple[Array, Array]:
-    """Times and values of the measurements (`values` [R, 0 or 1])."""
-    if values.shape[1] == 0:
-        return np.zeros(0), np.zeros(0)
-    seen = np.isfinite(values[:, 0])
-    return times[seen], values[seen, 0]
 
 
 def smoothed(t: Array, y: Array, unit: float | None = None) -> SmoothCurve | None:
