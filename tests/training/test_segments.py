@@ -78,7 +78,7 @@ def test_segments_share_their_end_rows_and_cover_everything() -> None:
 
 
 def test_later_segments_have_only_their_own_doses() -> None:
-    data = drive_data(60)
+    data = drive_data()
     item = replace(data.items[0], doses=(DoseEvents(np.array([0.0, 6.0]), np.array([1.0, 2.0])),))
     parts, _, first = cut(replace(data, items=(item,)), 60, everywhere=True)
     assert first.tolist() == [0, 60]
@@ -215,7 +215,7 @@ def test_whole_solutions_are_fitted_to_exact_data_of_which_a_state_is_not_measur
     hidden = train(model_of(DRIVE), drive_data(60), TrainOptions(workers=1, seed=1), tmp_path / "hidden")
     losses = [float(row["loss"]) for row in hidden.history() if row["stage"] == StageName.WHOLE]
     assert losses[-1] < 0.9 * losses[0]
-    data = drive_data(1000, 40.0)
+    data = drive_data(60)
     (item,) = data.items
     both = replace(item, **{name: np.hstack([getattr(item, name)] * 2) for name in ("values", "counts", "sd")})
     both.values[:, 1] = np.gradient(both.values[:, 0], item.times)
