@@ -25,7 +25,7 @@ ALONG
 
 /* Solves linear equations by elimination with pivots; no number where they have no single solution. */
 static void divide(int n, const double *matrix, const double *right, double *out) {
-    double a[LARGEST * LARGEST], swap;
+    double a[LARGEST * LARGEST] = {0.0}, swap;
     int i, j, k, best;
     for (i = 0; i < n * n; i++) a[i] = matrix[i];
     for (i = 0; i < n; i++) out[i] = right[i];
