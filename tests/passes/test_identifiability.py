@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gbspec.diagnostics import Findings
-from gbspec.passes.identifiability import identifiability
+from gbspec.passes.identifiability import by_one_trajectory, identifiability
 from gbspec.passes.identifiability.directions import absorbers, find
 from gbspec.passes.identifiability.question import pose
 from tests.passes.identifiability_cases import FURTHER, UNDECIDED
@@ -191,3 +191,30 @@ def test_bundled_models_are_answered_in_time(path: Path) -> None:
     for all_states in (True, False):
         find(pose(model, all_states=all_states), time.process_time() + 3)
     assert time.process_time() - begin < 10  # two questions of 3 seconds at most, and what it takes to pose them
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("state x\nlearn k = 1\nunknown f(t)\nx' = -k*x + f\nobserve x\n", [("k", "f")]),
+        (
+            "state x\nstate y\nlearn k = 1\nlearn a = 2\nunknown f(t)\nx' = f - k*x\ny' = x - a*y\nobserve x\n"
+            "observe y\n",
+            [("k", "f")],
+        ),
+        (
+            "state S\nstate I\nlearn g = 0.1\nunknown b(t) >= 0\nS' = -b*S*I\nI' = b*S*I - g*I\nobserve y = 1000*I\n",
+            [("g", "b")],
+        ),
+        ("state x\nlearn k = 1\nunknown f(x)\nx' = f + k\nobserve x\n", []),
+        ("state x\ninput u held\nlearn a = 1\nunknown f(t)\nx' = f - x + a*u\nobserve x\n", []),
+    ],
+)
+def test_a_function_of_time_follows_any_single_trajectory(text: str, found: list[tuple[str, str]]) -> None:
+    """Where trajectories from other initial values would tell them apart, which is what `check` answers."""
+    model = model_of("model m\ntime t\n" + text)
+    assert [(*each.constants, *each.unknowns) for each in by_one_trajectory(model, budget=30)] == found
+    if found:
+        findings = Findings()
+        identifiability(model, findings)
+        assert not list(findings)

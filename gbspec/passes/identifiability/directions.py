@@ -89,7 +89,8 @@ def at_order(
     question: Question, order: int, deadline: float = math.inf, branches: Branches | None = None
 ) -> Directions | None:
     """The directions that remain at one order; None if an expression has no value or time runs out."""
-    still = not question.hidden and not question.own and all(start is None for start in question.starts)
+    moving = question.hidden or question.own or question.alone
+    still = not moving and all(start is None for start in question.starts)
     algebra = Algebra(order, 0 if still else order)
     rng = np.random.default_rng(SEED + order)
     bases: list[Base] = []

@@ -139,6 +139,7 @@ class Jet:
         self._factors = np.random.default_rng(variables).uniform(0.5, 1.5, (len(self._states), variables))
         self._unit = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
         self._widths = np.array([base.widths[symbol] for symbol in (*self._parameters, *self._slopes)])
+        self._widths *= 0.0 if question.alone else 1.0
         self._directions = self._unit * self._widths
 
     # -------------------------------------------------------------------------------------------------------- values

@@ -49,6 +49,8 @@ class Question:
     known: frozenset[int]
     starts: tuple[Expr | None, ...]
     doses: tuple[Arrival, ...] = ()
+    alone: bool = False
+    """Whether there is one trajectory only: no initial value, condition or input differs."""
 
     @cached_property
     def hidden(self) -> tuple[int, ...]:
@@ -102,10 +104,13 @@ class Question:
     def probed(self) -> frozenset[int]:
         """The states whose rate has no unknown function of all states and conditions.
 
-        Such a function compensates whatever may stand beside it, however many derivatives are known.
+        Such a function compensates whatever may stand beside it, however many derivatives are known; along a single
+        trajectory a function of time alone does so too.
         """
         model = self.model
         every = {s.symbol for s in model.states} | {c.symbol for c in model.conditions}
+        if self.alone:
+            every = {model.time.symbol}
         free = {a.value for a in self.applications if every <= {s for e in a.arguments for s in e.free_symbols}}
         return frozenset(i for i, rate in enumerate(self.rates) if not rate.free_symbols & free)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,6 +92,30 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     touched = np.max(np.abs(declared.doubtful), axis=1, initial=0.0) > 1e-6
     doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
     return Identifiability(not doubtful and not model.diffusions, tuple(sets), doubtful)
+
+
+def by_one_trajectory(model: Model, budget: float = BUDGET) -> tuple[Inseparable, ...]:
+    """Sets that a single trajectory cannot separate, in models whose unknowns are functions of time alone.
+
+    Functions of states pass the same values more than once, which the expansion around one point does not see; a
+    function of time does not, so that it can follow any single trajectory. Empty where that is not decided, and with
+    inputs and doses, whose jumps a smooth function does not follow.
+    """
+    clock = frozenset({model.time.symbol})
+    others = (model.events, model.algebraics, model.delays, model.diffusions, model.inputs, model.doses)
+    if not model.unknowns or any(others) or model.steady is not None:
+        return ()
+    question = replace(pose(model, all_states=False), alone=True)
+    of_time = [a for a in question.applications if {s for e in a.arguments for s in e.free_symbols} == clock]
+    if len(of_time) < len(question.applications):
+        return ()
+    try:
+        found = find(question, time.process_time() + budget)
+    except (KeyError, np.linalg.LinAlgError, FloatingPointError):
+        return ()
+    if found is None:
+        return ()
+    return tuple(each for each in _sets(question, found, None) if each.constants and each.unknowns)
 
 
 def _sets(question: Question, declared: Directions, everything: Directions | None) -> list[Inseparable]:

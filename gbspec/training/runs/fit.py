@@ -47,7 +47,7 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import autocorrelations, inseparable, unrested, verdicts
+from gbspec.training.runs.verdict import autocorrelations, inseparable, inseparable_by_one, unrested, verdicts
 from gbspec.training.stages import most_iterations
 from gbspec.training.starts import earlier
 from gbspec.version import __version__
@@ -189,7 +189,8 @@ class Fitting:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
             self.record = completed(self.record, self.model, self.results, self.options)
-            known = (*inseparable(self.model), *self._remarks)
+            by_one = inseparable_by_one(self.model) if len(self.trajectories) == 1 else []
+            known = (*inseparable(self.model), *by_one, *self._remarks)
             self.record = replace(self.record, warnings=(*known, *self.record.warnings))
             ended = len(self.results) + len(self.failures) == self.options.members
             finished = ended and all(result.finished for result in self.results.values())

@@ -4,11 +4,12 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import examine
+from gbspec.passes.identifiability import by_one_trajectory
 from gbspec.runs import ChannelRecord
 from gbspec.training.problem import share_that_counts
 
@@ -128,3 +129,19 @@ def inseparable(model: Model) -> list[str]:
     findings = Findings()
     examine(model, findings)
     return [f"{one.message} ({one.code}): {'; '.join((*one.notes, one.help))}" for one in findings]
+
+
+def inseparable_by_one(model: Model) -> list[str]:
+    """The same for what a single trajectory cannot separate, where several could."""
+    return [
+        f"{_list(found.constants)} and {_list(found.unknowns)} cannot be told apart by one trajectory: a function of "
+        f"time alone can follow any single one. What the fit shows of them rests on the smoothness of "
+        f"{_list(found.unknowns)}, and intervals do not count that. Give {_list(found.constants)} a value (`const`) or "
+        "a prior, or measure trajectories with other initial values"
+        for found in by_one_trajectory(model)
+    ]
+
+
+def _list(names: Sequence[str]) -> str:
+    quoted = [f"`{name}`" for name in names]
+    return " and ".join([", ".join(quoted[:-1]), quoted[-1]] if len(quoted) > 1 else quoted)
