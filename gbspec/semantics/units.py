@@ -122,7 +122,8 @@ class Namespace:
         if name in self.own:
             return Measure(1.0, ((f"unit {name}", Fraction(1)),))
         if name[0].isdigit() or name[0] == ".":
-            return Measure(float(name), ())
+            size = float(name)
+            return Measure(size, ()) if 0 < size < math.inf else None
         registry = _registry()
         if name not in registry:
             return None
@@ -178,7 +179,7 @@ class Namespace:
             name = f"{DELTA}{given}" if differs and self.is_scale(given) else given
             atom = self.atom(name)
             if atom is not None:
-                factor *= atom.factor ** float(exponent)
+                factor *= _raised(atom.factor, float(exponent))
                 for dimension, power in atom.dimensions:
                     dimensions[dimension] = dimensions.get(dimension, Fraction(0)) + exponent * power
         return Measure(factor, powers(dimensions))
@@ -220,7 +221,10 @@ def read(unit: ast.UnitExpression, namespace: Namespace, findings: Findings) -> 
                 stack.append((left, exponent))
                 stack.append((right, -exponent if operator == "/" else exponent))
             case ast.UnitNumber(text=text):
-                if float(text) != 1:
+                if namespace.atom(text) is None:
+                    sound = False
+                    _no_size(node, findings)
+                elif float(text) != 1:
                     result = result.times(Unit(((text, Fraction(1)),)), exponent)
             case ast.UnitName(text=text):
                 if namespace.atom(text) is None:
@@ -245,3 +249,22 @@ def _unknown(node: ast.UnitName, namespace: Namespace, findings: Findings) -> No
         help=suggestion(node.text, namespace.known()) or f"declare it as a new base unit: `unit {node.text}`",
         subject=node.text,
     )
+
+
+def _no_size(node: ast.UnitNumber, findings: Findings) -> None:
+    """A number that is no size of a unit: zero, or beyond the smallest or largest number."""
+    findings.error(
+        "GB501",
+        f"a unit cannot have the size {node.text}",
+        node.span,
+        help="a pure number has the unit `1`; `1000*m` and `km` are the same unit",
+        subject=node.text,
+    )
+
+
+def _raised(factor: float, exponent: float) -> float:
+    """A factor to an exponent; infinite beyond the largest number."""
+    try:
+        return float(factor**exponent)
+    except OverflowError:
+        return math.inf
