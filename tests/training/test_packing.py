@@ -103,6 +103,19 @@ def test_very_long_and_very_short_intervals() -> None:
     assert packed.h.sum() == pytest.approx(1e5, rel=1e-12)
 
 
+@pytest.mark.parametrize("drawn", [False, True])
+def test_many_steps_end_before_a_jump(drawn: bool) -> None:
+    """The rounding errors of their lengths add up to more than the distance that a step keeps from a jump."""
+    model = model_of("model m\ntime t from 0\nlearn k = 1\nstate x in [0, 2]\nx' = floor(t/81.3) - k*x\nobserve x\n")
+    data = Trajectories((trajectory("a", 0.0, np.array([0.0, 90.1]), np.ones((2, 1)), []),), ("x",))
+    for step in np.linspace(0.01, 0.3, 40):
+        packed = pack(data, model, step, np.random.default_rng(0) if drawn else None)
+        n = int(packed.steps[0])
+        t, h = packed.t[:n, 0], packed.h[:n, 0]
+        assert (np.floor(t / 81.3) == np.floor((t + h) / 81.3)).all()
+        assert h.min() > 0 and abs(h.sum() - 90.1) < 1e-9
+
+
 def test_right_sides_do_not_jump_within_a_step() -> None:
     """Also where a measurement is made at the time of the jump, up to rounding, and where the trajectory ends."""
     text = "model m\ntime t from 0\nconst width = 0.7\nlearn k = 1\nlearn late = 2\nstate x in [0, 2]\n"

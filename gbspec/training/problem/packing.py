@@ -277,7 +277,9 @@ def _plan(
     if away.any():
         t[arrival[:-1]] += away[:-1]
         h[arrival[:-1]] -= away[:-1]
-        h[arrival[1:] - 1] -= away[1:]
+        # From the edge itself: the sum of many lengths has a larger rounding error than a step may stay away.
+        last, ends = arrival[1:] - 1, (edges - away)[1:]
+        h[last] = np.where(away[1:] > 0, ends - t[last], h[last])
     row_step = arrival[np.searchsorted(edges, keys)]
     kept = item.times >= item.start
     values, sd = item.values[kept], item.sd[kept]
