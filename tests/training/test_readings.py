@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gbspec.backends.module import load_module
-from gbspec.data import Trajectories, Trajectory
+from gbspec.data import Signal, Trajectories, Trajectory
 from gbspec.training import TrainOptions
 from gbspec.training.recipe import build_context, initial
 from gbspec.training.starts.readings import readings
@@ -73,3 +73,20 @@ def test_functions_of_what_nothing_measures_have_the_scale_of_its_range(observed
     parameters, theta = initial(context)
     scale = parameters.weights(torch.from_numpy(theta))["network.s.input_scale"]
     assert float(scale) == pytest.approx(1e6 / np.sqrt(12), rel=0.1)
+
+
+@pytest.mark.filterwarnings("error")  # of a division by a scale of zero, after which sizes were lost
+def test_functions_in_balances_of_what_nothing_measures_have_the_size_of_the_other_terms() -> None:
+    """An elimination beside infusions of 10 to 90 had the scale 1, and ended at zero from all random weights."""
+    model = model_of(
+        "model pk\ntime t from 0\nstate a in [0, 100]\ninput rate held\nlearn V in [1, 100]\n"
+        "unknown el(c in [0, 10]) >= 0, zero at c = 0 by mlp(4)\nlet c = a/V\na' = rate - el(c)\ninitial a = 0\n"
+        "observe y = c\n"
+    )
+    times, y = np.arange(6.0), np.array([[1.0], [3.0], [4.0], [2.0], [1.0], [0.5]])
+    rate = Signal(np.array([0.0, 2.0]), np.array([90.0, 10.0]))
+    item = Trajectory("1", 0.0, times, y, np.ones(y.shape), np.full(y.shape, np.nan), np.zeros(0), (rate,))
+    context = build_context(model, load_module(model), Trajectories((item,), ("y",)), TrainOptions(), 0)
+    parameters, theta = initial(context)
+    scale = parameters.weights(torch.from_numpy(theta))["network.el.output_scale"]
+    assert 10 < float(scale[0]) < 100

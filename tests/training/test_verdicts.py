@@ -16,7 +16,7 @@ from gbspec.training.problem import autocorrelation_of, in_time, share_that_coun
 from gbspec.training.profile.likelihood import profile_constant
 from gbspec.training.runs.fit import warnings_of
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import autocorrelations, verdicts, widening
+from gbspec.training.runs.verdict import above_stated, autocorrelations, verdicts, widening
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -199,3 +199,22 @@ def test_a_fit_without_intervals_says_that_its_residuals_are_no_noise(
     found = warnings_of({0: fitted(sd, r2, *stages)}, TrainOptions(members=1))
     assert len(found) == bool(said)
     assert all(said in text and "autocorrelated" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("noise", "found", "said"),
+    [
+        ("normal(0.2)", 0.25, ""),
+        ("normal(0.2)", 0.7, "3.5 times as large as the noise that the model states, normal(0.2)"),
+        ("lognormal(0.1)", 0.33, "3.3 times"),
+        ("", 0.7, ""),
+        ("normal(0.1 + 0.1*x)", 0.7, ""),
+        ("normal(0.2)", float("nan"), ""),
+    ],
+)
+def test_residuals_that_are_no_stated_noise_are_told(noise: str, found: float, said: str) -> None:
+    stated = f" noise {noise}" if noise else ""
+    model = model_of(f"model m\nstate x in [0.1, 9]\nlearn k = 1\nx' = -k*x\nobserve x{stated}\n")
+    text = "".join(above_stated({"x": found}, model))
+    assert bool(text) == bool(said)
+    assert said in text

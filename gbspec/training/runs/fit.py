@@ -47,7 +47,14 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import autocorrelations, inseparable, inseparable_by_one, unrested, verdicts
+from gbspec.training.runs.verdict import (
+    above_stated,
+    autocorrelations,
+    inseparable,
+    inseparable_by_one,
+    unrested,
+    verdicts,
+)
 from gbspec.training.stages import most_iterations
 from gbspec.training.starts import earlier
 from gbspec.version import __version__
@@ -416,6 +423,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
                 "these trajectories do not count as fitted"
             )
         left = _of_residuals(result, options, model)
+        left += above_stated(result.noise, model) if model is not None else []
         out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")

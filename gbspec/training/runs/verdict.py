@@ -24,6 +24,9 @@ EXACT = 1e-6
 VISIBLE = 1e-4
 """The same of a fit that gave no standard deviations: stages of exact data end before such fractions matter."""
 
+ABOVE = 2.0
+"""Residuals that are this many times as large as the noise that the model states are not that noise."""
+
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
     "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
@@ -40,6 +43,25 @@ def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
         compared = "worse than" if found.r2 < found.naive else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {REMEDIES}")
+    return out
+
+
+def above_stated(noise: Mapping[str, float], model: Model) -> list[str]:
+    """A warning for each channel whose residuals, of the standard deviation `noise`, are no stated noise.
+
+    Noise is that of measurements alone: with disturbances or differences between trajectories it is not compared.
+    """
+    out = []
+    for channel in model.channels if not model.marginal else ():
+        found, stated = noise.get(channel.name, math.nan), channel.noise  # of a log-normal one as a share
+        if stated is None or stated.value is not None or not found > ABOVE * stated.scale > 0:
+            continue
+        out.append(
+            f"the residuals of `{channel.name}` are {found / stated.scale:.2g} times as large as the noise that the "
+            f"model states, {stated.kind}({stated.scale:g}): the fit is in a bad minimum, or the model lacks "
+            "something, or the noise is larger; intervals do not hold then. What may help: `--effort high`, "
+            "`--members 5`, narrower bounds, ranges of unmeasured states, or another model"
+        )
     return out
 
 

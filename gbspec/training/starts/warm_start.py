@@ -156,7 +156,8 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
     model, points, count = mismatch.model, mismatch.points, len(mismatch.points)
     undetermined = np.ones(len(mismatch.free.neutral), dtype=np.bool_)
     u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
-    width = np.median(np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()) if count else 1.0
+    slopes = np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()
+    width = (float(np.median(slopes)) if count else 0.0) or 1.0  # all slopes are guessed where no state has a curve
     damping, best = 1e-2, np.inf
     center, deviation = _prior_of_constants(model, start)
     for _ in range(ELIMINATION_STEPS):
@@ -164,7 +165,7 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
         if not np.isfinite(r).all():
             break
         undetermined &= ~(jac_o != 0).any(axis=(0, 1))
-        sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
+        sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * width)
         w, value = mismatch.weights(r, sd)
         # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
         prior = count / points.measurements * (sd / deviation) ** 2
