@@ -11,7 +11,7 @@ from gbspec.semantics.merge import Merged
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
-from gbspec.syntax import FUNCTIONS, Kind, ast
+from gbspec.syntax import FUNCTIONS, VALUES, Kind, ast
 
 _NOT_OFFERED = {
     "lag": "write `delay(X, tau)`: what X was a time tau ago",
@@ -170,7 +170,7 @@ class Resolver:
                 self._not_found(node, site, called=False)
         elif declaration.kind in (Kind.FUNCTION, Kind.TABLE):
             self._without_arguments(node, site, declaration.kind.value, _usage(declaration), declaration.span)
-        elif declaration.kind in (Kind.CHANNEL, Kind.CLAIM):
+        elif declaration.kind not in VALUES:
             self._no_value(node, declaration, site)
         else:
             self._use(name, node.span, site, smooth)
@@ -206,15 +206,17 @@ class Resolver:
 
     def _no_value(self, node: ast.Name, declaration: Declaration, site: Site) -> None:
         site.references.complete = False
-        channel = declaration.kind is Kind.CHANNEL
+        help_text = "write the expression itself, or name it with `let`"
+        if declaration.kind is Kind.CHANNEL:
+            help_text = f"name the expression first: `let {node.text}_value = …`, and use that in both places"
+        elif declaration.kind is Kind.EVENT:
+            help_text = f"count it: `discrete n in [0, 100] = 0`, and `n = n + 1` among what `{node.text}` sets"
         self.findings.error(
             "GB213",
             f"`{node.text}` is {declaration.kind.value} and has no value in expressions",
             node.span,
             labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
-            help=f"name the expression first: `let {node.text}_value = …`, and use that in both places"
-            if channel
-            else "write the expression itself, or name it with `let`",
+            help=help_text,
         )
 
     # ------------------------------------------------------------------------------------------------------- calls
