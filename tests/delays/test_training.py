@@ -63,7 +63,7 @@ def test_what_is_not_offered_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="GB768"):
         specification.train(data, tmp_path / "run", solver="ros34pw2")
     with pytest.raises(UserError, match="GB808"):
-        specification.export(tmp_path / "model.c", "c")
+        specification.export(tmp_path / "model.xml", "sbml")
 
 
 def test_a_name_of_the_model_keeps_its_meaning(tmp_path: Path) -> None:
