@@ -27,11 +27,17 @@ Quantities = tuple[tuple[Expr, bool], ...]
 
 
 def scheduled(model: Model) -> Quantities:
-    """What decides when right sides jump, as far as it depends on the time, constants and conditions alone, the inner
-    ones first: arguments of `floor` (True), and differences that are compared (False)."""
+    """What decides when right sides, and what they see of the past, jump, as far as it depends on the time, constants
+    and conditions alone, the inner ones first: arguments of `floor` (True), and differences that are compared
+    (False)."""
     known = {item.symbol for group in (model.constants, model.learnables, model.conditions) for item in group}
     found: dict[tuple[Expr, bool], int] = {}
-    sides = (*model.balances, *(equation.residual for equation in model.constraints))
+    sides = (
+        *model.balances,
+        *(equation.residual for equation in model.constraints),
+        *(delay.value for delay in model.delays),
+        *(state.history for state in model.states if state.history is not None and model.delays),
+    )
     if not any(value.has(*_JUMPING) for value in (*sides, *(item.value for item in model.intermediates))):
         return ()
     for value in model.inlined(sides):

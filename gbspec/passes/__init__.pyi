@@ -1,5 +1,6 @@
 from .claims import check_claims as check_claims
 from .contracts import with_contracts as with_contracts
+from .delays import greatest_value as greatest_value
 from .delays import least_value as least_value
 from .examination import Examination as Examination
 from .examination import examine as examine

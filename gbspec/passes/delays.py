@@ -1,4 +1,4 @@
-"""The shortest time that bounds allow a delay to be."""
+"""The shortest and the longest time that bounds allow a delay to be."""
 
 from __future__ import annotations
 
@@ -16,6 +16,17 @@ def least_value(model: Model, value: Expr, conditions: Mapping[str, float] | Non
 
     NaN where it may be undefined.
     """
+    found = _enclosed(model, value, conditions)
+    return math.nan if found is None else found.low
+
+
+def greatest_value(model: Model, value: Expr, conditions: Mapping[str, float] | None = None) -> float:
+    """The greatest value, as `least_value`; it may be infinite."""
+    found = _enclosed(model, value, conditions)
+    return math.nan if found is None else found.high
+
+
+def _enclosed(model: Model, value: Expr, conditions: Mapping[str, float] | None) -> Interval | None:
     box = {c.symbol: Interval(c.value, c.value) for c in model.constants}
     box |= {k.symbol: of_range(k.individual.range) for k in model.learnables}
     given = conditions or {}
@@ -23,5 +34,4 @@ def least_value(model: Model, value: Expr, conditions: Mapping[str, float] | Non
         known = given.get(condition.name)
         box[condition.symbol] = of_range(condition.range) if known is None else Interval(known, known)
     numbers = {s: sympy.Float(i.low) for s, i in box.items() if i.low == i.high}
-    found = enclosure(value.xreplace(numbers), box)
-    return math.nan if found is None else found.low
+    return enclosure(value.xreplace(numbers), box)

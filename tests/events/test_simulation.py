@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.backends.casadi.events import _Trajectory
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import DoseEvents, Signal
 from gbspec.diagnostics import ComputationError
@@ -197,3 +198,28 @@ def test_a_batch_has_events_at_its_own_times() -> None:
     found = module.simulate([[5.0, 0.0, 0.0], [3.0, 0.0, 0.0]], times, constants={"e": e, "g": 9.81})
     for row, (restitution, height) in enumerate([(0.8, 5.0), (0.9, 3.0)]):
         assert np.abs(found[row, :, 0].numpy() - heights(times, restitution, 9.81, height)).max() < 1e-6
+
+
+def test_no_evaluation_lies_behind_a_jump_of_the_right_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One at the end of a step would look like an error of the method, which takes ever shorter steps then."""
+    text = "model m\ntime t from 0\nstate x\nevent half at 3.3: x = x/2\nx' = {} - x\nobserve x\n"
+    evaluations, rate = [0], _Trajectory.rate
+
+    def counted(self: _Trajectory, time: float, state: Array) -> Array:
+        evaluations[0] += 1
+        return rate(self, time, state)
+
+    monkeypatch.setattr(_Trajectory, "rate", counted)
+    times, numbers = np.arange(0.0, 12.1, 0.5), []
+    for right in ("if(mod(t, 6) < 2.5, 1, 0)", "0"):
+        evaluations[0] = 0
+        found = Evaluator(module_of(text.format(right))).integrate([1.0], times)[:, 0]
+        numbers.append(evaluations[0])
+        wanted, x, before = [], 1.0, 0.0
+        for time in sorted({*times, 2.5, 3.3, 8.5}):
+            level = 1.0 if right != "0" and (0.5 * (time + before)) % 6 < 2.5 else 0.0
+            x, before = level + (x - level) * math.exp(before - time), time
+            wanted += [x] if time in times else []
+            x = x / 2 if time == 3.3 else x
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-11)
+    assert numbers[0] < 4 * numbers[1]

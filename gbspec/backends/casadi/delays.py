@@ -18,7 +18,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.backends.casadi.cvodes import FINEST, LOCAL, InitialValueProblem
-from gbspec.backends.casadi.timeline import Segment
+from gbspec.backends.casadi.timeline import Segment, switches
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import METHODS
@@ -29,6 +29,9 @@ MANY = 200_000
 """Most steps of a trajectory."""
 NEAR = 1e-9
 """Share of a stretch by which a look-up prefers the piece inside the stretch, at times between two pieces."""
+CLOSE, INSIDE = 1e-11, 1e-3
+"""Share of the trajectory by which times are moved into a stretch where formulas jump by themselves, so that they are
+not on the other side of a jump at its end; at most this share of the stretch."""
 
 
 class DelaySolver:
@@ -39,6 +42,7 @@ class DelaySolver:
         self.solver = instance.solver
         self.networks = instance.numpy_networks()
         self.groups = np.array([lag for _, lag in instance.equations.delays])
+        self.instance = instance
 
     def run(
         self,
@@ -87,6 +91,11 @@ class _Trajectory:
             raise ComputationError(
                 f"a delay is {self.lags.min():.6g}, and it must be positive", where=f"t = {begin:.6g}"
             )
+        longest = float(self.lags.max())
+        self.early = switches(solver.instance, begin - longest, begin, problem.condition, self.constants)
+        end = float(outputs[-1])
+        scheduled = hasattr(solver.equations, "schedule")
+        self.within = CLOSE * max(end - begin, abs(begin), abs(end)) if scheduled else 0.0
         self.past: list[_Piece] = []
         self.begins: list[float] = []
         self.tolerance = (
@@ -112,22 +121,28 @@ class _Trajectory:
         return states, np.array(found).reshape(len(self.outputs), -1)
 
     def _marks(self) -> list[float]:
-        """The times at which steps end: outputs, changes of inputs, doses, and where these show again."""
+        """The times at which steps end: outputs, changes of inputs, doses, jumps of right sides, and where these, and
+        jumps of the past, show again."""
         end = float(self.outputs[-1]) if self.segments else self.begin
         span = end - self.begin
         jumps = sorted({*self.starts})
-        echoes, wave = set(jumps), set(jumps)
-        for _ in range(ECHOES):
+        echoes, wave = set(jumps), {*jumps, *map(float, self.early)}
+        for number in range(ECHOES):
             wave = {t + lag for t in wave for lag in self.lags if t + lag < end}
-            if len(echoes) + len(wave) > MOST + len(jumps):
+            if number and len(echoes) + len(wave) > MOST + len(jumps):
                 break
-            echoes |= wave
+            echoes |= {t for t in wave if t > self.begin}
         fixed = np.array(sorted({*jumps, *(t for t in map(float, self.outputs) if t > self.begin), end}))
         loose = [t for t in echoes if np.abs(fixed - t).min() > 1e-11 * span]
         return sorted({*fixed.tolist(), *loose}) if span > 0 else []
 
     def _segment(self, time: float) -> int:
         return max(bisect.bisect_right(self.starts, time) - 1, 0)
+
+    def inside(self, time: float, toward: float) -> float:
+        """A time moved towards another, out of the rounding error of a jump."""
+        away = toward - time
+        return time + math.copysign(min(self.within, INSIDE * abs(away)), away)
 
     def inputs(self, time: float, toward: float) -> Array:
         """The inputs at a time, seen from the side of another; before the start those there."""
@@ -143,7 +158,7 @@ class _Trajectory:
         if number < 0 and near < self.begin:
             solver = self.solver
             found = solver.equations.history(
-                solver.math, np.float64(time), self.x0, self.problem.condition, self.constants
+                solver.math, np.float64(self.inside(time, toward)), self.x0, self.problem.condition, self.constants
             )
             return np.asarray(found, dtype=np.float64)
         return self.x0 if number < 0 else self.past[number].states(time)
@@ -155,7 +170,13 @@ class _Trajectory:
             s, side = time - lag, toward - lag
             x, u = self.state(s, side), self.inputs(s, side)
             values = solver.equations.delayed(
-                solver.math, np.float64(s), x, self.problem.condition, u, self.constants, solver.networks
+                solver.math,
+                np.float64(self.inside(s, side)),
+                x,
+                self.problem.condition,
+                u,
+                self.constants,
+                solver.networks,
             )
             mine = solver.groups == number
             found[mine] = np.asarray(values, dtype=np.float64)[mine]
@@ -191,6 +212,7 @@ class _Trajectory:
     def _rate(self, time: float, state: Array, toward: float) -> Array:
         """The rate of change at a time, seen from the side of another."""
         problem, inputs = self.problem, np.concatenate([self.inputs(time, toward), self.late(time, toward)])
+        time = self.inside(time, toward)
         return np.array(self.solver.rhs(time, state, problem.condition, inputs, problem.constants)).ravel()
 
     def _fixed(self, x: Array, a: float, b: float, longest: float) -> Array:

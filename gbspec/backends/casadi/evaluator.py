@@ -16,10 +16,10 @@ from gbspec.backends.casadi.delays import DelaySolver, at_rest, late_at_first, l
 from gbspec.backends.casadi.events import EventSolver
 from gbspec.backends.casadi.starts import Course as Course
 from gbspec.backends.casadi.starts import first_values, steady_start
-from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
+from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments, switches
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.diagnostics import ComputationError
-from gbspec.ir import METHODS, switching_times
+from gbspec.ir import METHODS
 
 
 class Events(Protocol):
@@ -387,11 +387,8 @@ class Evaluator:
 
     def _switches(self, begin: float, end: float, condition: ArrayLike, constants: ArrayLike | None) -> Array:
         """The times at which right sides jump, as far as they follow from the time alone."""
-        equations, m = self.instance.equations, self.instance.arithmetic("numpy")
-        if not hasattr(equations, "schedule") or not end > begin:
-            return np.zeros(0)
         known = (np.asarray(condition, dtype=np.float64).ravel(), self._tuple(constants))
-        return switching_times(lambda t: equations.schedule(m, t, *known), equations.whole, begin, end)
+        return switches(self.instance, begin, end, *known)
 
     def _jumps(self, condition: ArrayLike, doses: Sequence[Events], constants: ArrayLike | None) -> list[Jump]:
         if not doses:

@@ -102,6 +102,8 @@ class _Trajectory:
         return np.asarray(self.piece.inputs + self.piece.slopes * elapsed[..., None], dtype=np.float64)
 
     def rate(self, time: float, state: Array) -> Array:
+        first, last = self.piece.insets  # where a formula jumps at an end, the side within counts
+        time = min(max(time, self.piece.begin + first), self.piece.end - last)
         found = self.solver._rhs(time, state, self.problem.condition, self.inputs(time), self.problem.constants)
         return np.array(found).ravel()
 

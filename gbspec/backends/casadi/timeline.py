@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir import insets
+from gbspec.backends.protocol import GeneratedModule
+from gbspec.ir import insets, switching_times
 
 _NONE = np.zeros(0)
 
@@ -73,6 +74,16 @@ def value_and_slope(signal: Signal, kind: str, time: float) -> tuple[float, floa
         return float(values[i]), 0.0
     slope = float((values[i + 1] - values[i]) / (times[i + 1] - times[i]))
     return float(values[i]) + slope * (time - float(times[i])), slope
+
+
+def switches(
+    instance: GeneratedModule, begin: float, end: float, condition: Array, constants: tuple[np.float64, ...]
+) -> Array:
+    """The times from `begin` to `end` at which right sides, or what they see of the past, jump by themselves."""
+    equations, m = instance.equations, instance.arithmetic("numpy")
+    if not hasattr(equations, "schedule") or not end > begin:
+        return _NONE
+    return switching_times(lambda t: equations.schedule(m, t, condition, constants), equations.whole, begin, end)
 
 
 def segments(

@@ -34,7 +34,7 @@ static void begin_past(Work *w, const real *x) {
 
 /* Whether the rates at the start of sub-step s are computed: something may have happened since the end of the one before. */
 static int fresh(const Work *w, int64_t s) {
-    if (!s || INPUTS || w->data->forced) return 1;
+    if (!s || INPUTS || SCHEDULED || w->data->forced) return 1;
     for (int t = 0; t < TILE; t++)
         if (arrival_of(w, s, t) >= 0) return 1;
     return 0;
@@ -78,8 +78,11 @@ static void look(Work *w, int64_t s, int node, int lag, Seen *seen) {
         const int64_t at = first_cell(w, t) + s;
         const double from = live ? d->t[at] : d->begin[w->who[t]], h = live ? d->h[at] : 0;
         const double wait = w->inputs->lags[w->who[t] * LAGS + lag];
-        const double time = from + TABLEAU_NODES[node] * h - wait, toward = from + h / 2 - wait;
-        const int64_t i = live ? piece_of(w, t, lag, s, time + 1e-7 * (toward - time)) : -1;
+        double time = from + TABLEAU_NODES[node] * h - wait;
+        const double away = from + h / 2 - wait - time;
+        const int64_t i = live ? piece_of(w, t, lag, s, time + 1e-7 * away) : -1;
+        if (SCHEDULED) /* not to be on the other side of a jump at the end of a step, by rounding */
+            time += copysign(fmin(1e-13 * (fabs(time) + wait), 1e-3 * fabs(away)), away);
         seen->piece[t] = i;
         seen->time[t] = R(time);
         before |= i < 0;

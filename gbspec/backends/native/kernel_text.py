@@ -15,7 +15,7 @@ from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_
 from gbspec.backends.native.lookups import table_functions
 from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
-from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network, RosenbrockW
+from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network, RosenbrockW, scheduled
 
 Precision = Literal["float64", "float32"]
 
@@ -157,6 +157,7 @@ def _numbers(
         "RHS_SITES": len(kept),
         "SITES": len(kept) + len(others),
         "TIMED": int(_timed(model)),
+        "SCHEDULED": int(bool(scheduled(model))),
         "STAGES": method.advancing,
         "EVALUATIONS": method.advancing + bool(model.delays),
         "NODES": len(method.nodes),

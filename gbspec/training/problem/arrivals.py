@@ -20,7 +20,7 @@ from gbspec.arrays import Array
 from gbspec.backends import load_module
 from gbspec.data import Trajectories, Trajectory
 from gbspec.ir import Dose, Expr, Model, scheduled, switching_times
-from gbspec.training.problem.delays import echoes, jumps
+from gbspec.training.problem.delays import echoes, jumps, looked_back
 
 Integers = NDArray[np.int64]
 
@@ -84,11 +84,13 @@ def dose_table(trajectories: Trajectories, model: Model) -> DoseTable:
     if model.delays:  # steps begin where jumps show again: arrivals of nothing, after the kinds of doses
         kinds = list(enumerate(echoes(model), len(model.doses)))
         known += [False] * len(kinds)
+        switches = switches_of(model)
         rows += [
             (i, kind, time, 0.0)
             for i, item in enumerate(trajectories.items)
+            for times in [switches(item, looked_back(item, model))]
             for kind, echo in kinds
-            for time in jumps(item, model, echo)
+            for time in jumps(item, model, echo, times)
         ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
     return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], tuple(known))
@@ -110,21 +112,22 @@ def tolerance_of(item: Trajectory) -> float:
     return 1e-9 * max(item.end - item.start, abs(item.end), 1e-300)
 
 
-def switches_of(model: Model) -> Callable[[Trajectory], Array]:
-    """The times in a trajectory at which right sides jump, as far as they follow from the time and known constants."""
+def switches_of(model: Model) -> Callable[[Trajectory, float], Array]:
+    """The times in a trajectory, and some time before its start, at which right sides jump, as far as they follow from
+    the time and known constants."""
     if not scheduled(model):
-        return lambda item: np.zeros(0)
+        return lambda item, before: np.zeros(0)
     module = load_module(model).random(0)
     fixed = {constant.name: constant.value for constant in model.constants}
     constants = tuple(np.float64(fixed.get(name, np.nan)) for name in module.constants)
     equations, m = module.equations, module.arithmetic("numpy")
 
-    def switches(item: Trajectory) -> Array:
+    def switches(item: Trajectory, before: float) -> Array:
         def values(t: Array) -> Sequence[Array]:
             found: Sequence[Array] = equations.schedule(m, t, np.asarray(item.condition, dtype=np.float64), constants)
             return found
 
-        return switching_times(values, equations.whole, item.start, item.end)
+        return switching_times(values, equations.whole, item.start - before, item.end)
 
     return switches
 

@@ -1,6 +1,7 @@
 """Delays in a packing: how long steps may be, and where what jumped at a time shows again.
 
-At the start of a trajectory the rate of change jumps, and at doses the state does. A time tau later, the jump shows in
+At the start of a trajectory the rate of change jumps, and so it does at times that the model gives (`if(t > 5, …)`); at
+doses the state does. A time tau later, the jump shows in
 whatever depends on the delayed state, another tau later in its next derivative, and so on. Steps begin there, so that
 the solver keeps its order; since these times move with learned delays, they are arrivals like doses with learned lags.
 """
@@ -17,7 +18,7 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Expr, Model
-from gbspec.passes import least_value
+from gbspec.passes import greatest_value, least_value
 
 ORDER = 4
 """So many delays after a jump no derivative that the solver's order needs is discontinuous any more."""
@@ -29,8 +30,8 @@ MOST = 20
 class Echo:
     """A kind of times at which steps begin: jumps of one origin, some delays later.
 
-    `dose` is the dose of the model that jumps, None for the start and the changes of inputs; `lags` the indices of the
-    delays, with repetitions.
+    `dose` is the dose of the model that jumps, None for the start, the changes of inputs and the times at which right
+    sides jump by themselves; `lags` the indices of the delays, with repetitions.
     """
 
     dose: int | None
@@ -55,17 +56,24 @@ def echoes(model: Model) -> list[Echo]:
     return [Echo(origin, lags) for origin in origins for lags in sums]
 
 
-def jumps(item: Trajectory, model: Model, echo: Echo) -> Array:
-    """The times in the data at which what an echo repeats happened."""
+def jumps(item: Trajectory, model: Model, echo: Echo, switches: Array) -> Array:
+    """The times at which what an echo repeats happened; `switches`: those at which the model itself jumps."""
     if echo.dose is not None:
         return np.asarray(item.doses[echo.dose].times, dtype=np.float64)
     delayed = {s for value in model.inlined(d.value for d in model.delays) for s in value.free_symbols}
-    found = [np.array([item.start])]
+    found = [np.array([item.start]), switches]
     for spec, signal in zip(model.inputs, item.inputs, strict=True):
         if spec.symbol in delayed:
             times = np.asarray(signal.times, dtype=np.float64)
             found.append(times[times > item.start])
     return np.unique(np.concatenate(found))
+
+
+def looked_back(item: Trajectory, model: Model) -> float:
+    """How far before its start the delays of a trajectory look at most; its own length where bounds do not say."""
+    given = dict(zip((c.name for c in model.conditions), map(float, item.condition), strict=True))
+    longest = max((greatest_value(model, lag, given) for lag in lags_of(model)), default=0.0)
+    return longest if np.isfinite(longest) else item.end - item.start
 
 
 def largest_steps(trajectories: Trajectories, model: Model, max_step: float) -> Iterator[float]:

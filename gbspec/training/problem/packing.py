@@ -255,7 +255,7 @@ def _plans(
     lags, limits = known_lags(trajectories, model), largest_steps(trajectories, model, max_step)
     each = zip(trajectories.items, lags, limits, strict=True)
     switches = switches_of(model)
-    return [_plan(item, model, limit, nodes, rng, own, switches(item)) for item, own, limit in each]
+    return [_plan(item, model, limit, nodes, rng, own, switches(item, 0.0)) for item, own, limit in each]
 
 
 def _plan(

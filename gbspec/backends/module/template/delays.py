@@ -57,11 +57,21 @@ class _Past:
             near = s + (1e-7 if s.dtype == torch.float64 else 1e-3) * (toward - s)
             index = (self.begins[: len(self.pieces), :count].unsqueeze(1) <= near).sum(0) - 1
             index = torch.where(near < self.begin[:count], -1, index.clamp(min=0 if self.pieces else -1))
+        s = self._inside(s, toward, lags)
         x, u = self._looked_up(s, index)
         m, c, k = _torch_arithmetic(), self.rows(self.condition, count), self.rows(self.constants, count)
         found = self.equations.delayed(m, s, x, c, u, k, self.networks)
         found = found.expand(*s.shape, len(self.group)).unflatten(0, (len(times), len(lags)))
         return torch.stack([found[:, lag, :, i] for i, lag in enumerate(self.group)], -1)
+
+    def _inside(self, s: Any, toward: Any, lags: Any) -> Any:
+        """Times [K * lags, B] moved a rounding error towards others, where formulas jump at times of their own: not to
+        be on the other side of a jump at the end of a step."""
+        if not hasattr(self.equations, "schedule"):
+            return s
+        away = (toward - s).detach()
+        size = 1e-13 * (s.detach().abs() + lags.detach().repeat(len(s) // len(lags), 1))
+        return s + away.sign() * size.minimum(1e-3 * away.abs())
 
     def _looked_up(self, s: Any, index: Any) -> tuple[Any, Any]:
         """States and inputs at times [K, B] in the pieces `index` (-1: before the start)."""

@@ -137,8 +137,9 @@ def advance(
     if step.arrivals is not None:
         x = deliveries.added(x, step.arrivals)
     problem = deliveries.problem
-    # Jumps by resets show again within steps or between them, where rates differ on both sides.
-    steady = not problem.model.inputs and not problem.forcing.weight.any()
+    # Jumps by resets show again within steps or between them, where rates differ on both sides; so do other jumps.
+    jumping = problem.forcing.weight.any() or hasattr(problem.module.equations, "schedule")
+    steady = not problem.model.inputs and not jumping
     smooth = smooth and step.arrivals is None and steady
     return past.across(ready.t, ready.h, ready.grid, x, ready.nodes, rhs, smooth, late)
 
