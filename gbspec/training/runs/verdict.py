@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
-from gbspec.passes import examine
-from gbspec.passes.identifiability import by_one_trajectory
+from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import ChannelRecord
 from gbspec.training.problem import share_that_counts
 
