@@ -11,6 +11,8 @@ times are of one loss with its gradient by all rates, starts and weights, at a n
 from __future__ import annotations
 
 import argparse
+import logging
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -108,20 +110,36 @@ def peer(work: StiffWork, exact: Array, target: float, name: str) -> Chosen:
     made = Peer(work, name)
     errors = ladder(lambda rtol: work.off(made.states(rtol)[0], exact), target)
     rtol = nearest(errors, target)
-    loss, gradient = made.step(rtol)()
+    try:
+        loss, gradient = made.step(rtol)()
+    except RuntimeError as error:  # jax raises subclasses of it
+        raise FailedError(f"{name} has no gradient at {rtol:.1e}, error {errors[rtol]:.1e}: {reason(error)}") from error
     return Chosen(rtol, errors[rtol], made.states(rtol)[1], (float(loss), flat(gradient)), {name: made.step(rtol)})
 
 
-def chosen(work: StiffWork, target: float, names: tuple[str, ...]) -> dict[str, Chosen]:
-    """All solvers at their tolerances; those whose library is missing are skipped, with a message."""
-    exact = work.exact()
+class FailedError(RuntimeError):
+    """A solver has a solution but no gradient."""
+
+
+def reason(error: Exception) -> str:
+    """The sentence of a library's error that says what happened."""
+    found = re.search(r"\w+Error: ([^.:]+)\.", str(error))
+    return found.group(1) if found else str(error).partition("\n")[0]
+
+
+def chosen(work: StiffWork, target: float, names: tuple[str, ...]) -> tuple[dict[str, Chosen], list[str]]:
+    """All solvers at their tolerances, and why others have no gradient; those whose library is missing are skipped."""
+    exact, failed = work.exact(), []
     found = {OURS: ours(work, exact, target)}
     for name in names:
         try:
             found[name] = peer(work, exact, target, name)
         except ImportError as error:
             say(f"{name}: skipped: {error} (`pip install .[benchmarks]` installs the peers)")
-    return found
+        except FailedError as error:
+            say(str(error))
+            failed.append(str(error))
+    return found, failed
 
 
 def distance(one: tuple[float, Array], other: tuple[float, Array]) -> float:
@@ -131,15 +149,15 @@ def distance(one: tuple[float, Array], other: tuple[float, Array]) -> float:
 
 def measure(work: StiffWork, target: float, names: tuple[str, ...], rounds: int, seconds: float) -> dict[str, Any]:
     """Tolerances, errors, timings and ratios by solver; exits if the gradients disagree."""
-    found = chosen(work, target, names)
+    found, failed = chosen(work, target, names)
     timings = interleaved({k: run for c in found.values() for k, run in c.runs.items()}, rounds, seconds=seconds)
-    mine = np.array(timings[OURS].wall)
+    mine = np.array(timings[OURS].cpu)
     out: dict[str, Any] = {}
     for name, one in found.items():
         apart = distance(one.found, found[OURS].found)
         if not apart <= AGREE:
             raise SystemExit(f"{name} has another loss or gradient: {apart:.1e}")
-        shares = mine / np.array(timings[name].wall)
+        shares = mine / np.array(timings[name].cpu)
         low, middle, high = np.quantile(shares, (0.25, 0.5, 0.75))
         out[name] = {
             "rtol": one.rtol,
@@ -150,7 +168,7 @@ def measure(work: StiffWork, target: float, names: tuple[str, ...], rounds: int,
             "share": {"median": middle, "low": low, "high": high},
         }
     out[OURS]["planning"] = timings[f"{OURS} planning"].to_json()
-    return {"solvers": out, "busyness": round(busyness(timings), 3)}
+    return {"solvers": out, "failed": failed, "busyness": round(busyness(timings), 3)}
 
 
 # ------------------------------------------------------------------------------------------------------------ table
@@ -160,7 +178,7 @@ def rows(result: Mapping[str, Any], label: str) -> list[list[str]]:
     for name, one in result["solvers"].items():
         t, share = one["timing"], one["share"]
         cells = [f"{label}: {TITLES[name]}", f"{one['rtol']:.1e}", f"{one['error']:.1e}", f"{one['steps']:.0f}"]
-        cells += [f"{t['ms']:.1f}", f"{t['low_ms']:.1f}–{t['high_ms']:.1f}"]
+        cells += [f"{t['cpu_ms']:.1f}", f"{t['ms']:.1f}", f"{t['low_ms']:.1f}–{t['high_ms']:.1f}"]
         ratio = f"{share['median']:.3f} ({share['low']:.3f}–{share['high']:.3f})"
         lines.append([*cells, "" if name == OURS else ratio])
         if "planning" in one:
@@ -173,7 +191,7 @@ def rows(result: Mapping[str, Any], label: str) -> list[list[str]]:
 
 def table(result: Mapping[str, Any]) -> str:
     """The results in Markdown."""
-    header = ["solver", "tolerance", "error", "steps", "ms", "quartiles", "gbspec's time / its time"]
+    header = ["solver", "tolerance", "error", "steps", "CPU ms", "wall ms", "quartiles", "gbspec's time / its time"]
     lines = [line for label, found in result["workloads"].items() for line in rows(found, label)]
     busy = min(found["busyness"] for found in result["workloads"].values())
     about = (
@@ -181,9 +199,10 @@ def table(result: Mapping[str, Any]) -> str:
         "and gradient by rates, starts and, with a network of 64 and 64, its weights. Tolerances whose largest error "
         f"in any row is nearest {result['target']:.0e}, relative to |x| + 0.1 of the state's scale; mean accepted "
         "steps of a trajectory (of diffrax all tried ones). One core, float64; medians of interleaved rounds and, in "
-        f"brackets, quartiles of the ratio within a round; processor time over wall time {busy:.2f}."
+        f"brackets, quartiles of the ratio of processor times within a round; processor time over wall time {busy:.2f}."
     )
-    return f"{about}\n\n{markdown(header, lines)}"
+    failed = [f"{label}: {text}." for label, found in result["workloads"].items() for text in found["failed"]]
+    return "\n\n".join([about, markdown(header, lines), *failed])
 
 
 def arguments() -> argparse.Namespace:
@@ -201,6 +220,7 @@ def main() -> None:
     options = arguments()
     torch.set_num_threads(1)
     prepare_jax()
+    logging.getLogger("jax").setLevel(logging.CRITICAL)  # of a failure, it prints what the exception says
     workloads = {}
     for label, width in {"known": None, "network": 64}.items():
         work = make(width, options.trajectories)
