@@ -183,9 +183,8 @@ def rows(result: Mapping[str, Any], label: str) -> list[list[str]]:
         lines.append([*cells, "" if name == OURS else ratio])
         if "planning" in one:
             t, title = one["planning"], TITLES[f"{OURS} planning"]
-            lines.append(
-                [f"{label}: {title}", "", "", "", f"{t['ms']:.1f}", f"{t['low_ms']:.1f}–{t['high_ms']:.1f}", ""]
-            )
+            times = [f"{t['cpu_ms']:.1f}", f"{t['ms']:.1f}", f"{t['low_ms']:.1f}–{t['high_ms']:.1f}"]
+            lines.append([f"{label}: {title}", "", "", "", *times, ""])
     return lines
 
 

@@ -50,6 +50,7 @@ def test_without_peers_the_own_time_is_told(work: StiffWork) -> None:
         pytest.skip(str(error))
     text = stiff.table({"target": 1e-3, "trajectories": 2, "workloads": {"known": found}})
     lines = [line for line in text.splitlines() if line.startswith("| known")]
+    assert {line.count("|") for line in text.splitlines() if line.startswith("| ")} == {9}
     assert len(lines) == 2 and "of it the choice of the steps" in lines[1]
     solver = found["solvers"][stiff.OURS]
     assert solver["planning"]["ms"] > 0 and np.isfinite(solver["error"])
