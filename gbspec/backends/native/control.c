@@ -47,6 +47,18 @@ static void place_at(Control *c, double share) {
     }
 }
 
+/* Copies the slopes of activations, which a reverse pass overwrites, from the first block to the second one, which the
+   choice of steps does not use, or back. */
+static void copy_first_block(const Work *w, int back) {
+    for (int i = 0; i < RHS_SITES; i++) {
+        const Site *site = &w->sites[i];
+        for (int l = 1; kept(i) && l < site->net->layers; l++) {
+            const size_t n = TILE * PAD(site->net->size[l]);
+            memcpy(site->slope[l] + (back ? 0 : n), site->slope[l] + (back ? n : 0), n * sizeof(real));
+        }
+    }
+}
+
 /* The Jacobian of the right-hand side at the start of the steps of lanes that have none yet. */
 static void find_slopes(Control *c) {
     real ob[STATES * TILE], xb[STATES * TILE], tb[TILE], ub[INPUTS * TILE + 1];
@@ -54,8 +66,9 @@ static void find_slopes(Control *c) {
     int all = 1;
     for (int t = 0; t < TILE; t++) all = all && (c->known[t] || !c->going[t]);
     if (all) return;
+    copy_first_block(c->w, 0);
     for (int i = 0; i < STATES; i++) {
-        if (i) rhs_forward(c->w, 0, c->x, c->time, c->inputs, c->k[0]); /* the reverse pass overwrites its slopes */
+        if (i) copy_first_block(c->w, 1);
         zero(ob, STATES * TILE);
         zero(xb, STATES * TILE);
         for (int t = 0; t < TILE; t++) ob[i * TILE + t] = 1;
@@ -231,10 +244,7 @@ static int64_t walk_tile(Control *c) {
         rhs_forward(c->w, 0, c->x, c->time, c->inputs, c->k[0]);
         choose_steps(c);
 #if MATRICES
-        real rates[STATES * TILE];
-        memcpy(rates, c->k[0], sizeof rates);
         find_slopes(c);
-        memcpy(c->k[0], rates, sizeof rates);
         for (int t = 0; t < TILE; t++) factorise(c, t);
 #endif
         try_steps(c);
