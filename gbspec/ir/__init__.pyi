@@ -12,6 +12,7 @@ from .categories import not_categories as not_categories
 from .categories import whole as whole
 from .censoring import Censored as Censored
 from .delays import Delay as Delay
+from .derivatives import between_jumps as between_jumps
 from .derivatives import derivative as derivative
 from .derivatives import has_rule as has_rule
 from .derivatives import ordered as ordered

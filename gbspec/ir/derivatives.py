@@ -50,6 +50,12 @@ UNARY: Mapping[type[sympy.Basic], Callable[[Expr, Expr], Expr]] = {
 Partials = list[tuple[Expr, Expr]]
 
 
+def between_jumps(expression: Expr, symbol: sympy.Symbol) -> Expr:
+    """The derivative by a symbol in the closed form that sympy finds, of whose functions `floor` has none."""
+    held = {step: sympy.Dummy(real=True) for step in expression.atoms(sympy.floor)}
+    return sympy.diff(expression.xreplace(held), symbol).xreplace({level: step for step, level in held.items()})
+
+
 def partials(node: Expr, value: Expr | None = None) -> Partials:
     """The arguments of an operation, each with the partial derivative by it; conventions at kinks as `Piecewise`.
 

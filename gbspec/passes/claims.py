@@ -15,7 +15,7 @@ from enum import Enum
 import sympy
 
 from gbspec.diagnostics import Findings, Label
-from gbspec.ir import Claim, Expr, Model, uninfused
+from gbspec.ir import Claim, Expr, Model, between_jumps, uninfused
 from gbspec.passes.conservation import as_text
 from gbspec.passes.terms import Opened, branching, constants_of, exact, terms
 
@@ -74,9 +74,10 @@ def decide(model: Model, claim: Claim) -> Decision:
     """Whether the claim holds for every state, time, constant and unknown function."""
     free = _difference(model, claim, uninfused(model), claim.value, claim.rate)
     solved = {item.symbol for item in model.algebraics}
-    if free is not None and not claim.value.free_symbols & solved and _vanishes(model, free) is Verdict.HOLDS:
-        return Decision(claim, Verdict.HOLDS)
     *balances, value, rate = model.inlined([*uninfused(model), claim.value, claim.rate])
+    kept = Verdict.UNDECIDED if value.has(sympy.floor) else Verdict.HOLDS  # its rate says nothing of its jumps
+    if free is not None and not claim.value.free_symbols & solved and _vanishes(model, free) is Verdict.HOLDS:
+        return Decision(claim, kept)
     whole = _difference(model, claim, balances, value, rate)
     assert whole is not None
     verdict = _vanishes(model, whole)
@@ -88,15 +89,15 @@ def decide(model: Model, claim: Claim) -> Decision:
             verdict = Verdict.HOLDS
     if verdict is Verdict.FAILS and whole.free_symbols & solved:  # the equations may make it zero all the same
         verdict = Verdict.UNDECIDED
-    return Decision(claim, verdict, whole)
+    return Decision(claim, kept if verdict is Verdict.HOLDS else verdict, whole)
 
 
 def _difference(model: Model, claim: Claim, balances: Sequence[Expr], value: Expr, rate: Expr) -> Expr | None:
     """The rate of `value` minus the claimed rate; None if `value` still contains intermediates."""
     if value.free_symbols & {i.symbol for i in model.intermediates}:
         return None
-    parts = [sympy.diff(value, s.symbol) * balance for s, balance in zip(model.states, balances, strict=True)]
-    return sympy.Add(*parts, sympy.diff(value, model.time.symbol), -rate)
+    parts = [between_jumps(value, s.symbol) * balance for s, balance in zip(model.states, balances, strict=True)]
+    return sympy.Add(*parts, between_jumps(value, model.time.symbol), -rate)
 
 
 # ------------------------------------------------------------------------------------------------------- identities
@@ -184,7 +185,7 @@ def _terms(table: Mapping[Expr, Expr], opened: Opened) -> list[Expr]:
 
 
 def _contribution(model: Model, claim: Claim, state: sympy.Symbol, balance: Expr) -> Expr:
-    return sympy.diff(model.inlined([claim.value])[0], state) * balance
+    return between_jumps(model.inlined([claim.value])[0], state) * balance
 
 
 def _sum_as_text(parts: Sequence[Expr], most: int = 3) -> str:

@@ -10,7 +10,7 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from gbspec.arrays import Array
-from gbspec.ir import Expr, Lookup, Model
+from gbspec.ir import Expr, Lookup, Model, between_jumps
 
 POINTS = 8
 SMALL = 1e-9
@@ -22,7 +22,7 @@ def dependent(model: Model, residuals: Sequence[Expr], variables: Sequence[sympy
     independent at one of them, or have values at none."""
     draw = random.Random(1)
     general = [_general(residual, draw) for residual in residuals]
-    slopes = sympy.Matrix([[sympy.diff(value, variable) for variable in variables] for value in general])
+    slopes = sympy.Matrix([[between_jumps(value, variable) for variable in variables] for value in general])
     symbols = sorted(slopes.free_symbols, key=lambda symbol: symbol.name)
     known = {c.symbol: c.value for c in model.constants}
     wrong: list[int] = []

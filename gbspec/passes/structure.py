@@ -14,7 +14,7 @@ from dataclasses import replace
 import sympy
 
 from gbspec.diagnostics import Findings, Span
-from gbspec.ir import Equation, EquationBlock, Expr, Intermediate, Model
+from gbspec.ir import Equation, EquationBlock, Expr, Intermediate, Model, between_jumps
 from gbspec.passes.linear import solved_by_formulas
 from gbspec.passes.regularity import dependent
 
@@ -127,9 +127,10 @@ class _Structure:
             return sympy.S.Zero
         balances = self._model.inlined(self._model.balances)
         parts = [
-            sympy.diff(residual, state.symbol) * rate for state, rate in zip(self._model.states, balances, strict=True)
+            between_jumps(residual, state.symbol) * rate
+            for state, rate in zip(self._model.states, balances, strict=True)
         ]
-        return sympy.Add(*parts, sympy.diff(residual, self._model.time.symbol))
+        return sympy.Add(*parts, between_jumps(residual, self._model.time.symbol))
 
     def _without_equations(self) -> bool:
         """Reports variables that occur in no equation."""

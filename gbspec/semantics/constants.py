@@ -166,7 +166,9 @@ def _counted(node: ast.Expression) -> tuple[ast.Expression, ...]:
 
 
 def _divides_by_zero(node: ast.Expression, values: list[float | None]) -> bool:
-    """Whether a product has a divisor that is the number 0, whatever its other factors are."""
+    """Whether a product, or `mod`, has a divisor that is the number 0, whatever its other factors are."""
+    if isinstance(node, ast.Call):
+        return node.function.text == "mod" and len(values) == 2 and values[1] == 0
     if not isinstance(node, ast.Binary) or node.operator not in "*/":
         return False
     return any(inverted and value == 0 for (inverted, _), value in zip(chain(node), values, strict=True))

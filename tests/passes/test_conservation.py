@@ -86,6 +86,9 @@ REACTOR = (
         ("conserve c = S + X*3.34 rate D*(10 - S - X*3.34)", [("GB330", "c")]),
         ("conserve c = F*X", [("GB332", "c")]),
         ("conserve c = 2*t rate 2", []),
+        ("conserve c = S + X/Y + floor(t)", [("GB330", "c")]),
+        ("conserve c = S + X/Y + floor(X) rate D*(10 - S - X/Y)", [("GB331", "c")]),
+        ("conserve c = 2*t rate 2 + mod(t, 3) + 3*floor(t/3) - t", []),
         ("let total = Y*S + X\nconserve c = total*exp(D*t) rate 10*Y*D*exp(D*t)", []),
     ],
 )

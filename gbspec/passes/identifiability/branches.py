@@ -61,6 +61,8 @@ class Branches:
             finite = np.ones(count, dtype=bool)
             for rate in (*self.question.rates, *self.question.outputs):
                 finite &= np.isfinite(at(rate)[..., 0])
+        for row in rows:
+            finite &= np.isfinite(row)
         return [tuple(int(row[k]) for row in rows) if finite[k] else None for k in range(count)]
 
     def _chosen(self, atom: Expr, at: Evaluation, count: int) -> Array:
