@@ -24,7 +24,7 @@ from gbspec.frontend import load_model
 from gbspec.operations import models
 from tests.delays.models import EVERYTHING, MACKEY_GLASS
 from tests.exports.test_c import COMPILER, agree, library_of, simulated_by_c
-from tests.exports.test_fmu import QUICK, VERSIONS, Version, begin, fmpy, opened, problems, unit
+from tests.exports.test_fmu import QUICK, VERSIONS, Version, begin, fmpy, of_its_state, opened, problems, unit
 from tests.exports.texts import exported, model_of
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
@@ -207,12 +207,7 @@ def test_the_past_is_kept_with_the_state(version: Version, tmp_path: Path) -> No
     one.put([one.refs["solver.step"], one.refs["F"]], [0.01, 0.4])
     begin(one)
     one.unit.doStep(0.0, 0.5)
-    get, put = (one.unit.getFMUstate, one.unit.setFMUstate) if one.old else (one.unit.getFMUState, one.unit.setFMUState)
-    write, read = (
-        (one.unit.serializeFMUstate, one.unit.deSerializeFMUstate)
-        if one.old
-        else (one.unit.serializeFMUState, one.unit.deserializeFMUState)
-    )
+    get, put, write, read = of_its_state(one)
     kept = get()
     written = write(kept)
 

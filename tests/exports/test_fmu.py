@@ -75,6 +75,14 @@ def opened(path: Path, kind: str = "me") -> Any:
     return SimpleNamespace(unit=found, refs=refs, get=get, put=put, old=old, description=description)
 
 
+def of_its_state(one: Any) -> tuple[Any, Any, Any, Any]:
+    """The functions of a unit that get, put, write and read its state, as its version spells them."""
+    unit = one.unit
+    if one.old:
+        return unit.getFMUstate, unit.setFMUstate, unit.serializeFMUstate, unit.deSerializeFMUstate
+    return unit.getFMUState, unit.setFMUState, unit.serializeFMUState, unit.deserializeFMUState
+
+
 def begin(one: Any, start: float = 0.0) -> None:
     if one.old:
         one.unit.setupExperiment(startTime=start)
@@ -316,12 +324,7 @@ def test_the_state_of_a_unit_is_kept_and_written(version: Version, tmp_path: Pat
     begin(one)
     refs = [one.refs["depot"], one.refs["central"]]
     one.unit.doStep(0.0, 0.1)
-    get, put = (one.unit.getFMUstate, one.unit.setFMUstate) if one.old else (one.unit.getFMUState, one.unit.setFMUState)
-    write, read = (
-        (one.unit.serializeFMUstate, one.unit.deSerializeFMUstate)
-        if one.old
-        else (one.unit.serializeFMUState, one.unit.deserializeFMUState)
-    )
+    get, put, write, read = of_its_state(one)
     kept = get()
     written = write(kept)
     one.unit.doStep(0.1, 0.1)

@@ -4,7 +4,7 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
@@ -154,15 +154,13 @@ def inseparable(model: Model) -> list[str]:
 
 def inseparable_by_one(model: Model) -> list[str]:
     """The same for what a single trajectory cannot separate, where several could."""
-    return [
-        f"{_list(found.constants)} and {_list(found.unknowns)} cannot be told apart by one trajectory: a function of "
-        f"time alone can follow any single one. What the fit shows of them rests on the smoothness of "
-        f"{_list(found.unknowns)}, and intervals do not count that. Give {_list(found.constants)} a value (`const`) or "
-        "a prior, or measure trajectories with other initial values"
-        for found in by_one_trajectory(model)
-    ]
-
-
-def _list(names: Sequence[str]) -> str:
-    quoted = [f"`{name}`" for name in names]
-    return " and ".join([", ".join(quoted[:-1]), quoted[-1]] if len(quoted) > 1 else quoted)
+    out = []
+    for found in by_one_trajectory(model):
+        groups = (found.names, found.constants, found.unknowns)
+        both, constants, functions = (" and ".join(f"`{name}`" for name in group) for group in groups)
+        out.append(
+            f"{both} cannot be told apart by one trajectory: a function of time alone can follow any single one. What "
+            f"the fit shows of them rests on the smoothness of {functions}, and intervals do not count that. Give "
+            f"{constants} a value (`const`) or a prior, or measure trajectories with other initial values"
+        )
+    return out
