@@ -16,6 +16,7 @@ from .module.starts import steady_starts as steady_starts
 from .module.swept import Swept as Swept
 from .module.swept import swept as swept
 from .native.compiler import CompilerError as CompilerError
+from .native.compiler import compiled as compiled
 from .native.compiler import find_compiler as find_compiler
 from .native.flat import NUMBER_WORDS as NUMBER_WORDS
 from .native.flat import Call as Call

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.engines.filter.functions import Functions
 from gbspec.training.engines.filter.layout import At
-from gbspec.training.engines.filter.local import Local, Parts, evaluate
+from gbspec.training.engines.filter.local import Arrays
 from gbspec.training.engines.filter.recursion import Flow, Moment, predicted
 from gbspec.training.problem import Integers
 
 
-def whole_legs(local: Local, at: At, owner: Integers, starts: Tensor, data: Parts) -> tuple[Array, ...]:
+def whole_legs(functions: Functions, at: At, owner: Integers, starts: Array, data: Arrays) -> tuple[Array, ...]:
     """The derivatives of mean, transition and added covariance of legs with D sub-steps, whose coordinates are `starts`
     [B, D, n]: in the parameters [B, ..., width], and those of the last two in the coordinates [B, n, n, n]."""
     b, depth, n = starts.shape
@@ -21,13 +20,12 @@ def whole_legs(local: Local, at: At, owner: Integers, starts: Tensor, data: Part
     flat = starts.reshape(b * depth, n)
     many = np.repeat(owner, depth)
     tables = (t.reshape(-1), h.reshape(-1), u.reshape(b * depth, *u.shape[2:]), doses.reshape(b * depth, -1))
-    k = at.k[torch.from_numpy(many)]
-    found = evaluate(local.step, flat, k, at.w, (*tables, condition.repeat_interleave(depth, 0)), True)
-    parts = [part.numpy().reshape(b, depth, *part.shape[1:]) for part in found.parts]
-    states = [part.numpy().reshape(b, depth, *part.shape[1:]) for part in found.by_state]
+    found = functions.step(flat, at.k[many], at.w, (*tables, np.repeat(condition, depth, axis=0)))
+    parts = [part.reshape(b, depth, *part.shape[1:]) for part in found.parts]
+    states = [part.reshape(b, depth, *part.shape[1:]) for part in found.by_state]
     columns = [part.reshape(b, depth, *part.shape[1:]) for part in at.columns(found, many)]
     width = n + columns[0].shape[-1]
-    moment = Moment(flat.numpy().reshape(b, depth, n)[:, 0], np.zeros((b, n, n)))
+    moment = Moment(flat.reshape(b, depth, n)[:, 0], np.zeros((b, n, n)))
     moment.dm, moment.dp = np.zeros((b, n, width)), np.zeros((b, n, n, width))
     moment.dm[:, :, :n] = np.eye(n)
     a, da = np.tile(np.eye(n), (b, 1, 1)), np.zeros((b, n, n, width))

@@ -13,19 +13,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import torch
 
 from gbspec.arrays import Array, Mask
 from gbspec.ir import linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.composed import whole_legs
 from gbspec.training.engines.filter.coordinates import Coordinates, relative_states
+from gbspec.training.engines.filter.compiled import Advance, advance
 from gbspec.training.engines.filter.exact import Exact
+from gbspec.training.engines.filter.forward import Forward, covers
+from gbspec.training.engines.filter.functions import Functions
 from gbspec.training.engines.filter.layout import At, Layout
 from gbspec.training.engines.filter.legs import Legs, buckets, legs_of, steps_of
-from gbspec.training.engines.filter.local import Local, evaluate
+from gbspec.training.engines.filter.local import Local
 from gbspec.training.engines.filter.noise import Noise, noise_of
-from gbspec.training.engines.filter.recursion import Flow, Innovations, Moment, Reading, predicted, updated
+from gbspec.training.engines.filter.recursion import Flow, Innovations, Kept, Moment, Reading
 from gbspec.training.engines.filter.result import Filtered, Information, Sums
 from gbspec.training.engines.filter.smoother import smoothed
 from gbspec.training.problem import Integers, Parameters, Path, Problem
@@ -79,15 +81,22 @@ class FilterEngine:
         return Layout(self.parameters, len(self.noise.learned))
 
     @cached_property
-    def local(self) -> Local:
+    def functions(self) -> Functions:
         """The functions of legs and rows."""
-        return Local(self.problem, self.parameters, self.coordinates, self.noise.log)
+        model = self.problem.model
+        local = Local(self.problem, self.parameters, self.coordinates, self.noise.log, linear_in_states(model))
+        return Functions(local, Forward(local) if covers(model) else None)
 
     @cached_property
     def exact(self) -> Exact | None:
         """The exact legs of a linear model."""
-        linear = linear_in_states(self.problem.model)
-        return None if linear is None else Exact(self.local, linear)
+        linear = self.functions.local.linear
+        return None if linear is None else Exact(self.functions, linear)
+
+    @cached_property
+    def advance(self) -> Advance:
+        """The recursion over legs."""
+        return advance()
 
     @property
     def affine(self) -> bool:
@@ -121,18 +130,17 @@ class FilterEngine:
                 continue
             chosen = index[mine]
             steps = steps_of(self._path, legs.owner[chosen], legs.first[chosen], legs.count[chosen], depth)
-            data = tuple(map(torch.from_numpy, (steps.t, steps.h, steps.inputs, steps.doses, steps.condition)))
-            here, k = torch.from_numpy(z[mine]), at.k[torch.from_numpy(legs.owner[chosen])]
+            data = (steps.t, steps.h, steps.inputs, steps.doses, steps.condition)
+            here, k = z[mine], at.k[legs.owner[chosen]]
             if self.exact is not None:
                 found = self.exact.evaluate(here, k, at.w, data, derivatives)
-                mean[mine], a[mine], q[mine] = (part.numpy() for part in found.parts)
+                mean[mine], a[mine], q[mine] = found.parts
                 if derivatives:
                     d_mean[mine], d_a[mine], d_q[mine] = at.columns(found, legs.owner[chosen])
                 continue
-            parts, starts = self.local.moved(here, k, at.w, data)
-            mean[mine], a[mine], q[mine] = (part.numpy() for part in parts)
+            (mean[mine], a[mine], q[mine]), starts = self.functions.moved(here, k, at.w, data)
             if derivatives:
-                leg = whole_legs(self.local, at, legs.owner[chosen], starts, data)
+                leg = whole_legs(self.functions, at, legs.owner[chosen], starts, data)
                 d_mean[mine], d_a[mine], d_q[mine], a_state[mine], q_state[mine] = leg
         if not derivatives:
             return Flow(z, mean, a, q)
@@ -142,32 +150,29 @@ class FilterEngine:
         """The measurements of the rows [b], linearised at the coordinates `z` [b, n]."""
         packed, noise = self.problem.packed, self.noise
         owner = packed.row_trajectory[rows]
-        tables = packed.row_time[rows], packed.row_inputs[rows], packed.condition[owner]
-        data, k = tuple(map(torch.from_numpy, tables)), at.k[torch.from_numpy(owner)]
+        data = packed.row_time[rows], packed.row_inputs[rows], packed.condition[owner]
         variance = noise.variances(log_sd)[rows]
-        y, c = (part.numpy() for part in self.local.observed(torch.from_numpy(z), k, at.w, data))
+        found = self.functions.observation(z, at.k[owner], at.w, data, derivatives)
+        y, c = found.parts
         plain = Reading(z, y, c, noise.value[rows], variance, self.problem.valued[rows])
         if not derivatives:
             return plain
-        found = evaluate(self.local.observation, torch.from_numpy(z), k, at.w, data, True)
         d_y, d_c = at.columns(found, owner)
         d_r = np.zeros((*variance.shape, self.layout.width))
         d_r[..., self.parameters.n_shared : self.layout.shared] = noise.slopes(noise.variances(log_sd))[rows]
-        return replace(plain, c_state=found.by_state[1].numpy(), d_y=d_y, d_c=d_c, d_r=d_r)
+        return replace(plain, c_state=found.by_state[1], d_y=d_y, d_c=d_c, d_r=d_r)
 
     def start(self, at: At, derivatives: bool = False) -> Moment:
         """The moments at the starts of the trajectories."""
         packed, layout = self.problem.packed, self.layout
-        tables = tuple(map(torch.from_numpy, (self.start_variance.copy(), packed.condition)))
-        found = evaluate(self.local.start, at.starts, at.k, at.w, tables, derivatives)
-        m, p = (part.numpy().copy() for part in found.parts)
+        found = self.functions.start(at.starts, at.k, at.w, (self.start_variance, packed.condition), derivatives)
+        m, p = (part.copy() for part in found.parts)
         if not derivatives:
             return Moment(m, p)
-        found = replace(found, by_weight=tuple(part.new_zeros((*part.shape, len(at.w))) for part in found.parts))
         dm, dp = at.columns(found, np.arange(packed.trajectories))
         begin = layout.shared + len(self.parameters.own)
         for table, part in zip((dm, dp), found.by_state, strict=True):
-            by_start = part.numpy() * at.start_slopes
+            by_start = part * at.start_slopes
             free = self.parameters.start_free.reshape(len(m), *(1,) * (table.ndim - 2), -1)
             table[..., begin:] = (by_start * free)[..., layout.states]
         return Moment(m, p, dm, dp)
@@ -190,28 +195,15 @@ class FilterEngine:
         found = self.filtered(vector) if found is None else found
         if not found.finite:
             return Information.none(self.layout)
-        at, legs, sums = At.of(self.layout, theta), self.legs, Sums(self.layout, legs_rank=self.legs.rank)
+        at, legs, sums = At.of(self.layout, theta), self.legs, Sums(self.layout)
         moment = self.start(at, True)
-        moment = Moment(*(part[legs.rank] for part in (moment.m, moment.p, moment.dm, moment.dp) if part is not None))
         for chunk in self._chunks():
             index = np.arange(chunk.start, chunk.stop)
             flows = self.flows(at, index, found.start_mean[index], True)
-            rows = legs.row[index]
-            with_row = np.flatnonzero(rows >= 0)
-            readings = self.readings(at, log_sd, rows[with_row], found.end_mean[index[with_row]], True)
-            place_of = np.full(len(index), -1, dtype=np.int64)
-            place_of[with_row] = np.arange(len(with_row))
-            for place in self._places(chunk):
-                part = slice(legs.at(place).start - chunk.start, legs.at(place).stop - chunk.start)
-                now = predicted(moment.first(part.stop - part.start), _flow(flows, part))
-                mine = place_of[part]
-                who = np.flatnonzero(mine >= 0)
-                if len(who):
-                    before = now if len(who) == len(mine) else _some(now, who)
-                    after, innovations = updated(before, _reading(readings, mine[who]))
-                    now = after if len(who) == len(mine) else _merged(now, who, after)
-                    sums.add(who, innovations, _reading(readings, mine[who]).seen)
-                moment.put(now)
+            rows, place = _rows_of(legs, index)
+            readings = self.readings(at, log_sd, rows, found.end_mean[index[place >= 0]], True)
+            innovations = self.advance(moment, legs.owner[index], flows, readings, place, None)
+            sums.add(self.problem.packed.row_trajectory[rows], innovations, readings.seen)
         return sums.information(found.value)
 
     # ---------------------------------------------------------------- what follows from a filter
@@ -263,10 +255,6 @@ class FilterEngine:
             yield slice(int(legs.begins[begin]), int(legs.begins[end]))
             begin = end
 
-    def _places(self, chunk: slice) -> range:
-        begins = self.legs.begins
-        return range(int(np.searchsorted(begins, chunk.start)), int(np.searchsorted(begins, chunk.stop)))
-
 
 class _Search:
     """The search of the means at one vector."""
@@ -305,40 +293,34 @@ class _Search:
         engine, legs, found = self.engine, self.legs, self.found
         index = np.arange(legs.begins[begin], legs.begins[end])
         flows = _sound(engine.flows(self.at, index, found.start_mean[index]), found.bad, index)
-        rows = legs.row[index]
-        with_row = np.flatnonzero(rows >= 0)
-        z = found.end_mean[index[with_row]]
-        readings = replace(engine.readings(self.at, self.log_sd, rows[with_row], z), seen=self.seen[rows[with_row]])
-        place_of = np.full(len(index), -1, dtype=np.int64)
-        place_of[with_row] = np.arange(len(with_row))
-        offset = int(legs.begins[begin])
+        rows, place = _rows_of(legs, index)
+        z = found.end_mean[index[place >= 0]]
+        readings = replace(engine.readings(self.at, self.log_sd, rows, z), seen=self.seen[rows])
         guesses = found.start_mean[index], found.end_mean[index]
-        for place in range(begin, end):
-            span = legs.at(place)
-            part = slice(span.start - offset, span.stop - offset)
-            owner = legs.owner[span]
-            before = Moment(self.start.m[owner], self.start.p[owner]) if place == 0 else self._stored(place)
-            now = predicted(before, _flow(flows, part))
-            mine = place_of[part]
-            who = np.flatnonzero(mine >= 0)
-            found.put(span, before, now, flows.a[part])
-            if len(who):
-                reading = _reading(readings, mine[who])
-                after, innovations = updated(some := _some(now, who), reading)
-                found.note(rows[part][who], some, innovations, reading)
-                now = _merged(now, who, after)
-            found.after(span, now)
+        moment = Moment(self.start.m.copy(), self.start.p.copy()) if begin == 0 else self._stored(begin)
+        kept = Kept.empty(len(index), len(engine.scale))
+        innovations = engine.advance(moment, legs.owner[index], flows, readings, place, kept)
+        found.put(index, kept, flows.a, rows, innovations)
         moved = _moved(found.start_mean[index], guesses[0], engine.scale)
-        moved |= (rows >= 0) & _moved(found.end_mean[index], guesses[1], engine.scale)
+        moved |= (place >= 0) & _moved(found.end_mean[index], guesses[1], engine.scale)
         if not moved.any():
             return end
         return int(np.searchsorted(legs.begins, index[np.argmax(moved)], side="right")) - 1
 
     def _stored(self, place: int) -> Moment:
-        """The moments at the end of the place before, of the trajectories that go on."""
-        last = self.legs.at(place - 1).start
-        part = slice(last, last + self.legs.at(place).stop - self.legs.at(place).start)
-        return Moment(self.found.post_mean[part], self.found.post_cov[part])
+        """The moments of all trajectories at the ends of the place before; of those that have ended, any."""
+        owner, span = self.legs.owner, self.legs.at(place - 1)
+        moment = Moment(self.start.m.copy(), self.start.p.copy())
+        moment.put(owner[span], Moment(self.found.post_mean[span], self.found.post_cov[span]))
+        return moment
+
+
+def _rows_of(legs: Legs, index: Integers) -> tuple[Integers, Integers]:
+    """The rows at the ends of legs that have one, and the place of each leg's row among them (-1: none)."""
+    ends = np.flatnonzero(legs.row[index] >= 0)
+    place = np.full(len(index), -1, dtype=np.int64)
+    place[ends] = np.arange(len(ends))
+    return legs.row[index[ends]], place
 
 
 def _moved(new: Array, old: Array, scale: Array) -> Mask:
@@ -357,36 +339,6 @@ def _sound(flows: Flow, bad: Mask, index: Integers) -> Flow:
     mean, a, q = flows.mean.copy(), flows.a.copy(), flows.q.copy()
     mean[wrong], a[wrong], q[wrong] = flows.at[wrong], np.eye(mean.shape[1]), 0.0
     return Flow(flows.at, mean, a, q)
-
-
-def _flow(flow: Flow, part: slice) -> Flow:
-    return Flow(*(None if table is None else table[part] for table in vars(flow).values()))  # type: ignore[arg-type]
-
-
-def _reading(reading: Reading, rows: Integers) -> Reading:
-    """The readings of some rows, which follow one another where no trajectory lacks one."""
-    first, count = int(rows[0]), len(rows)
-    part = slice(first, first + count) if count == 1 or bool((np.diff(rows) == 1).all()) else rows
-    return Reading(*(None if table is None else table[part] for table in vars(reading).values()))  # type: ignore[arg-type]
-
-
-def _some(moment: Moment, who: Integers) -> Moment:
-    if len(who) == len(moment.m):
-        return moment
-    return Moment(*(None if t is None else t[who] for t in vars(moment).values()))  # type: ignore[arg-type]
-
-
-def _merged(moment: Moment, who: Integers, after: Moment) -> Moment:
-    """The moments, with those of some trajectories replaced."""
-    if len(who) == len(moment.m):
-        return after
-    tables = []
-    for whole, part in zip(vars(moment).values(), vars(after).values(), strict=True):
-        if whole is not None:
-            whole = whole.copy()
-            whole[who] = part
-        tables.append(whole)
-    return Moment(*tables)
 
 
 def _first_states(engine: FilterEngine) -> Array:

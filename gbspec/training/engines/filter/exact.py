@@ -14,17 +14,15 @@ with the same F, S and h share one computation.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 from torch import Tensor
-from torch.func import jacfwd, vmap
 
 from gbspec.arrays import Array
 from gbspec.ir import Linear
-from gbspec.training.engines.filter.local import Evaluated, Local, Parts, evaluate
+from gbspec.training.engines.filter.functions import Functions
+from gbspec.training.engines.filter.local import Arrays, Evaluated
 from gbspec.training.problem import Integers
 
 SMALL = 0.25
@@ -33,117 +31,128 @@ TERMS = 16
 """Terms of the series: the first one left out is below 1e-18."""
 
 
+@dataclass(frozen=True)
+class _Matrices:
+    """Matrices [G, n, n] with their derivatives [p, G, n, n]."""
+
+    value: Array
+    slopes: Array
+
+    def __matmul__(self, other: _Matrices) -> _Matrices:
+        return _Matrices(self.value @ other.value, self.slopes @ other.value + self.value @ other.slopes)
+
+    def __add__(self, other: _Matrices) -> _Matrices:
+        return _Matrices(self.value + other.value, self.slopes + other.slopes)
+
+    def times(self, factor: Array | float) -> _Matrices:
+        """Multiplied by numbers [G, 1, 1]."""
+        return _Matrices(self.value * factor, self.slopes * factor)
+
+    @property
+    def transposed(self) -> _Matrices:
+        return _Matrices(self.value.swapaxes(-1, -2), self.slopes.swapaxes(-1, -2))
+
+
 @dataclass
 class Exact:
     """Legs of one sub-step of a linear model."""
 
-    local: Local
+    functions: Functions
     linear: Linear
-    doublings: int = field(default=0, init=False)
 
-    def evaluate(self, z: Tensor, k: Tensor, w: Tensor, data: Parts, derivatives: bool) -> Evaluated:
-        """Mean, transition and added covariance of legs from `z` [B, n]; data as for `Local.leg`."""
+    def evaluate(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """Mean, transition and added covariance of legs from `z` [B, n]; data as for `Local.moved`."""
         t, h, u, doses, condition = data
         first, group = self._groups(k, h, u, condition)
-        ku, hu, uu, cu = k[first], h[first, 0], u[first, 0, 0], condition[first]
-        self.doublings = self._needed(ku, w, hu, uu, cu)
-        dummy = z.new_zeros((len(first), 0))
-        flow = evaluate(self._flow, dummy, ku, w, (hu, uu, cu), derivatives)
-        push = evaluate(self._push, z[:, :0], k, w, (t[:, 0], h[:, 0], u[:, 0], doses[:, 0], condition), derivatives)
-        which = torch.from_numpy(group)
-        a, q, *j = (part[which] for part in flow.parts)
-        b = push.parts
-        start = z + b[-1]
-        mean = _times(a, start) + sum(_times(ji, bi) for ji, bi in zip(j, b[:-1], strict=True))
+        at = (u[first, 0, 0], condition[first])
+        factors = self.functions.factors(k[first], w, at, derivatives)
+        push = self.functions.push(k, w, (t[:, 0], h[:, 0], u[:, 0], doses[:, 0], condition), derivatives)
+        constants = k.shape[1]
+        slopes = [
+            np.concatenate(pair, axis=-1) for pair in zip(factors.by_constant, factors.by_weight, strict=True)
+        ] or [np.zeros((*part.shape, 0)) for part in factors.parts]
+        a, q, *j = _flow(factors.parts, slopes, h[first, 0], 1 if self.linear.steady else 3)
+        *b, added = push.parts
+        start = z + added
+        mean = _times(a.value[group], start)
+        mean = mean + sum(_times(ji.value[group], bi) for ji, bi in zip(j, b, strict=True))
+        parts = mean, a.value[group], q.value[group]
         if not derivatives:
-            return Evaluated((mean, a, q))
+            return Evaluated(parts)
+        tables = [np.moveaxis(each.slopes, 0, -1)[group] for each in (a, q, *j)]
 
-        def combined(of_flow: Parts, of_push: Parts) -> Parts:
-            da, dq, *dj = (part[which] for part in of_flow)
-            change = _along(da, start) + torch.matmul(a, of_push[-1])
-            for ji, bi, dji, dbi in zip(j, b[:-1], dj, of_push[:-1], strict=True):
-                change = change + _along(dji, bi) + torch.matmul(ji, dbi)
+        def combined(columns: slice, of_push: Arrays) -> Arrays:
+            da, dq, *dj = (table[..., columns] for table in tables)
+            change = _along(da, start) + parts[1] @ of_push[-1]
+            for ji, bi, dji, dbi in zip(j, b, dj, of_push[:-1], strict=True):
+                change = change + _along(dji, bi) + ji.value[group] @ dbi
             return change, da, dq
 
-        n = z.shape[1]
-        by_state = (a, z.new_zeros((len(z), n, n, n)), z.new_zeros((len(z), n, n, n)))
-        by_weight = combined(flow.by_weight, push.by_weight) if len(w) else ()
-        return Evaluated((mean, a, q), by_state, combined(flow.by_constant, push.by_constant), by_weight)
+        zero = np.zeros((*parts[1].shape, z.shape[1]))
+        by_weight = combined(slice(constants, None), push.by_weight)
+        return Evaluated(parts, (parts[1], zero, zero), combined(slice(constants), push.by_constant), by_weight)
 
-    def _groups(self, k: Tensor, h: Tensor, u: Tensor, condition: Tensor) -> tuple[Tensor, Integers]:
+    def _groups(self, k: Array, h: Array, u: Array, condition: Array) -> tuple[Integers, Integers]:
         """The first leg of each group of legs with the same factors and length, and the group of each leg."""
-        inputs = u[:, 0, 0][:, list(self.linear.inputs)]
-        key = np.concatenate([k.numpy(), condition.numpy(), inputs.numpy(), _rounded(h[:, :1].numpy())], axis=1)
+        key = np.concatenate([k, condition, u[:, 0, 0][:, list(self.linear.inputs)], _rounded(h[:, :1])], axis=1)
         _, first, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        return torch.from_numpy(first), group.reshape(-1).astype(np.int64)
-
-    def _needed(self, k: Tensor, w: Tensor, h: Tensor, u: Tensor, condition: Tensor) -> int:
-        """The number of doublings for these groups."""
-        with torch.no_grad():
-            factors = vmap(self._factors, in_dims=(0, None, 0, 0))(k, w, u, condition)
-        size = float((factors.abs().sum(-1).amax(-1) * h).max()) if len(h) else 0.0
-        return min(max(math.ceil(math.log2(size / SMALL)), 0), 60) if 0 < size < math.inf else 0
-
-    def _factors(self, k: Tensor, w: Tensor, u: Tensor, condition: Tensor) -> Tensor:
-        """F [n, n]: the derivative of the balances with respect to the states."""
-        drift = self.local.dynamics(condition, k, w).field()
-        zero = k.new_zeros(len(self.local.problem.model.states))
-        found: Any = jacfwd(lambda x: drift(k.new_zeros(()), x, u))(zero)
-        return found  # type: ignore[no-any-return]
-
-    def _flow(self, z: Tensor, k: Tensor, w: Tensor, h: Tensor, u: Tensor, condition: Tensor) -> Parts:
-        """e^{Fh} and Q, J0 and, where they are needed, J1 and J2."""
-        f = self._factors(k, w, u, condition)
-        n = f.shape[-1]
-        spread = self.local.dynamics(condition, k, w).spread(f.new_zeros(n), u)
-        one, d = torch.eye(n, dtype=f.dtype), torch.diag(spread**2)
-        s = h / 2.0**self.doublings
-        orders = 1 if self.linear.steady else 3
-        e, q = torch.zeros_like(f), torch.zeros_like(f)
-        j = [torch.zeros_like(f) for _ in range(orders)]
-        power, lie = one, d
-        for i in range(TERMS):
-            q = q + lie * (s ** (i + 1) / math.factorial(i + 1))
-            for order in range(orders):
-                scale = math.factorial(order) / math.factorial(i + order + 1)
-                j[order] = j[order] + power * (scale * s ** (i + order + 1))
-            power = f @ power
-            e = e + power * (s ** (i + 1) / math.factorial(i + 1))
-            lie = f @ lie + lie @ f.transpose(-1, -2)
-        for _ in range(self.doublings):
-            a = one + e
-            q = q + a @ q @ a.transpose(-1, -2)
-            if orders == 3:
-                j[2] = j[2] + a @ j[2] + 2 * s * j[1] + s**2 * j[0]
-                j[1] = j[1] + a @ j[1] + s * j[0]
-            j[0] = 2 * j[0] + e @ j[0]
-            e = 2 * e + e @ e
-            s = 2 * s
-        return (one + e, q, *j)
-
-    def _push(
-        self, z: Tensor, k: Tensor, w: Tensor, t: Tensor, h: Tensor, u: Tensor, doses: Tensor, condition: Tensor
-    ) -> Parts:
-        """The coefficients of b(s) = b0 + b1 s + b2 s^2 (or b0 alone), and what doses add at the start."""
-        dynamics = self.local.dynamics(condition, k, w)
-        drift, zero = dynamics.field(), k.new_zeros(len(self.local.problem.model.states))
-        added = dynamics.dosed(zero, doses) if doses.shape[-1] else zero
-        begin = drift(t, zero, u[0])
-        if self.linear.steady:
-            return begin, added
-        middle, end = drift(t + 0.5 * h, zero, 0.5 * (u[0] + u[-1])), drift(t + h, zero, u[-1])
-        length = torch.where(h > 0, h, torch.ones_like(h))
-        first = (4 * middle - 3 * begin - end) / length
-        return begin, first, 2 * (begin - 2 * middle + end) / length**2, added
+        return first.astype(np.int64), group.reshape(-1).astype(np.int64)
 
 
-def _times(matrix: Tensor, vector: Tensor) -> Tensor:
-    return torch.matmul(matrix, vector[..., None])[..., 0]
+def _flow(factors: Arrays, slopes: list[Array], h: Array, orders: int) -> list[_Matrices]:
+    """e^{Fh} and Q, and J0 or J0, J1 and J2, from F [G, n, n] and the disturbances [G, n], for G lengths `h`.
+
+    Parameters that these do not depend on are left out of the computation.
+    """
+    (f_value, spread), (df, ds) = factors, slopes
+    groups, n = spread.shape
+    active = np.flatnonzero((df != 0).any(axis=(0, 1, 2)) | (ds != 0).any(axis=(0, 1)))
+    f = _Matrices(f_value, np.moveaxis(df[..., active], -1, 0))
+    one = np.eye(n)
+    d = _Matrices(spread[:, :, None] ** 2 * one, np.moveaxis(2 * spread[..., None] * ds[..., active], -1, 0)[..., None] * one)
+    zero = _Matrices(np.zeros((groups, n, n)), np.zeros((len(active), groups, n, n)))
+    doublings = _needed(f_value, h)
+    s = (h / 2.0**doublings)[:, None, None]
+    e, q, j, power, lie = zero, zero, [zero] * orders, zero + _Matrices(np.tile(one, (groups, 1, 1)), zero.slopes), d
+    unit = power
+    for i in range(TERMS):
+        q = q + lie.times(s ** (i + 1) / math.factorial(i + 1))
+        for order in range(orders):
+            scale = math.factorial(order) / math.factorial(i + order + 1)
+            j[order] = j[order] + power.times(scale * s ** (i + order + 1))
+        power = f @ power
+        e = e + power.times(s ** (i + 1) / math.factorial(i + 1))
+        lie = f @ lie + (f @ lie.transposed).transposed
+    for _ in range(doublings):
+        a = unit + e
+        q = q + a @ q @ a.transposed
+        if orders == 3:
+            j[2] = j[2] + a @ j[2] + j[1].times(2 * s) + j[0].times(s**2)
+            j[1] = j[1] + a @ j[1] + j[0].times(s)
+        j[0] = j[0].times(2.0) + e @ j[0]
+        e = e.times(2.0) + e @ e
+        s = 2 * s
+    found = []
+    for each in (unit + e, q, *j):
+        whole = np.zeros((df.shape[-1], groups, n, n))
+        whole[active] = each.slopes
+        found.append(_Matrices(each.value, whole))
+    return found
 
 
-def _along(change: Tensor, vector: Tensor) -> Tensor:
+def _needed(f: Array, h: Array) -> int:
+    """The number of doublings for these groups."""
+    size = float((np.abs(f).sum(-1).max(-1) * h).max()) if len(h) else 0.0
+    return min(max(math.ceil(math.log2(size / SMALL)), 0), 60) if 0 < size < math.inf else 0
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.asarray(np.matmul(matrix, vector[..., None])[..., 0])
+
+
+def _along(change: Array, vector: Array) -> Array:
     """Derivatives [B, n, n, p] of matrices, times vectors [B, n]: [B, n, p]."""
-    return torch.einsum("bijp,bj->bip", change, vector)
+    return np.asarray(np.einsum("bijp,bj->bip", change, vector))
 
 
 def _rounded(lengths: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.training.engines.filter.local import Evaluated, Parts
+from gbspec.training.engines.filter.local import Arrays, Evaluated
 from gbspec.training.problem import STRETCH, Integers, Parameters
 
 
@@ -70,9 +70,9 @@ class At:
     constants and starts in their entries [N, k] and [n]."""
 
     layout: Layout
-    k: torch.Tensor
+    k: Array
     w: torch.Tensor
-    starts: torch.Tensor
+    starts: Array
     k_slopes: Array
     start_slopes: Array
 
@@ -82,9 +82,9 @@ class At:
         parameters, vector = layout.parameters, torch.from_numpy(theta)
         known = len(parameters.model.constants)
         with torch.no_grad():
-            k = parameters.constants(vector)[:, known:].contiguous()
-            starts = parameters.starts(vector)
-        slopes = np.ones(tuple(k.shape))
+            k = parameters.constants(vector)[:, known:].numpy().copy()
+            starts = parameters.starts(vector).numpy().copy()
+        slopes = np.ones(k.shape)
         if parameters.shared:
             entries = theta[parameters.n_weights : parameters.n_shared]
             slopes[:, list(parameters.shared)] = parameters.bijections(parameters.shared).derivative(entries)
@@ -102,12 +102,11 @@ class At:
             for index, constant in enumerate(evaluated.by_constant)
         ]
 
-    def _part(self, by_constant: torch.Tensor, by_weight: Parts, index: int, owner: Integers) -> Array:
+    def _part(self, natural: Array, by_weight: Arrays, index: int, owner: Integers) -> Array:
         layout, parameters = self.layout, self.layout.parameters
-        natural = by_constant.numpy()
         out = np.zeros((*natural.shape[:-1], layout.width))
         if parameters.n_weights:
-            out[..., : parameters.n_weights] = by_weight[index].numpy()
+            out[..., : parameters.n_weights] = by_weight[index]
         slopes = self.k_slopes[owner].reshape(-1, *(1,) * (natural.ndim - 2), natural.shape[-1])
         entries = natural * slopes
         out[..., parameters.n_weights : parameters.n_shared] = entries[..., list(parameters.shared)]

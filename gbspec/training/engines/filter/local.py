@@ -18,29 +18,33 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.func import jacfwd, jacrev, vmap
 
-from gbspec.arrays import Mask
+from gbspec.arrays import Array, Mask
+from gbspec.ir import Linear
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.filter.coordinates import Coordinates, Dynamics
 from gbspec.training.problem import Parameters, Problem
 
 Parts = tuple[Tensor, ...]
+Arrays = tuple[Array, ...]
 Function = Callable[..., Parts]
 """A function of coordinates [n], learnable constants [k], weights [w] and the data of one leg or row."""
 
 
 @dataclass(frozen=True)
 class Local:
-    """The functions of a problem's sub-steps and rows, for one of them (`step`, `observation`, `start`) or without
-    derivatives for many (`moved`, `observed`)."""
+    """The functions of a problem's sub-steps and rows, for one of them (`step`, `observation`, `start`, `factors`,
+    `push`) or without derivatives for many (`moved`, `observed`). `linear`: how the model is linear, if it is."""
 
     problem: Problem
     parameters: Parameters
     coordinates: Coordinates
     log_channels: Mask
+    linear: Linear | None
 
     def dynamics(self, condition: Tensor, k: Tensor, w: Tensor) -> Dynamics:
         """Drift and disturbance with these learnable constants [k] and weights [w]."""
@@ -95,7 +99,7 @@ class Local:
         (z, end), (a, first, last) = ends, slopes
         one, size = torch.eye(z.shape[-1], dtype=z.dtype), h[..., None, None]
         middle = 0.5 * (a + one) + 0.125 * size * (last - a @ first)
-        between = nodes[self._middle] if self._middle is not None else 0.5 * (nodes[0] + nodes[-1])
+        between = nodes[self.middle] if self.middle is not None else 0.5 * (nodes[0] + nodes[-1])
         places = (z, nodes[0]), (0.5 * (z + end), between), (end, nodes[-1])
         terms = [m * dynamics.spread(*at)[..., None, :] for m, at in zip((a, middle, one), places, strict=True)]
         squares = [weight * x @ x.transpose(-1, -2) for weight, x in zip((1 / 6, 4 / 6, 1 / 6), terms, strict=True)]
@@ -107,7 +111,8 @@ class Local:
         return torch_arithmetic(self.problem.module)
 
     @property
-    def _middle(self) -> int | None:
+    def middle(self) -> int | None:
+        """Which of the method's nodes is the middle of a sub-step."""
         nodes = self.problem.packed.nodes
         return nodes.index(0.5) if 0.5 in nodes else None
 
@@ -122,6 +127,35 @@ class Local:
         t, u, condition = data
         dynamics = self.dynamics(condition, k, w)
         return _rows(lambda x: dynamics.observed(t, x, u, self.log_channels), z)
+
+    def factors(self, z: Tensor, k: Tensor, w: Tensor, u: Tensor, condition: Tensor) -> Parts:
+        """The derivatives [n, n] of a linear model's balances with respect to its states, and the sizes of the
+        disturbances [n]; `z` is empty."""
+        dynamics = self.dynamics(condition, k, w)
+        drift, zero = dynamics.field(), k.new_zeros(len(self.problem.model.states))
+        found: Any = jacfwd(lambda x: drift(k.new_zeros(()), x, u))(zero)
+        return found, dynamics.spread(zero, u)
+
+    def push(
+        self, z: Tensor, k: Tensor, w: Tensor, t: Tensor, h: Tensor, u: Tensor, doses: Tensor, condition: Tensor
+    ) -> Parts:
+        """The coefficients of b(s) = b0 + b1 s + b2 s^2 in a linear model's x' = F x + b(s), or b0 alone where nothing
+        varies in a sub-step, and what doses add at its start; `z` is empty."""
+        dynamics = self.dynamics(condition, k, w)
+        drift, zero = dynamics.field(), k.new_zeros(len(self.problem.model.states))
+        added = dynamics.dosed(zero, doses) if doses.shape[-1] else zero
+        begin = drift(t, zero, u[0])
+        if self.steady:
+            return begin, added
+        middle, end = drift(t + 0.5 * h, zero, 0.5 * (u[0] + u[-1])), drift(t + h, zero, u[-1])
+        length = torch.where(h > 0, h, torch.ones_like(h))
+        first = (4 * middle - 3 * begin - end) / length
+        return begin, first, 2 * (begin - 2 * middle + end) / length**2, added
+
+    @property
+    def steady(self) -> bool:
+        """Whether nothing varies within a sub-step of a linear model."""
+        return self.linear is not None and self.linear.steady
 
     def start(self, starts: Tensor, k: Tensor, w: Tensor, variance: Tensor, condition: Tensor) -> Parts:
         """Mean and covariance of a trajectory's coordinates at its start, from starts [n] with this `variance` [n]."""
@@ -179,10 +213,10 @@ class Evaluated:
     """The parts of a function for B points, and where asked their derivatives with respect to coordinates
     [B, ..., n], learnable constants [B, ..., k] and weights [B, ..., w]."""
 
-    parts: Parts
-    by_state: Parts = ()
-    by_constant: Parts = ()
-    by_weight: Parts = ()
+    parts: Arrays
+    by_state: Arrays = ()
+    by_constant: Arrays = ()
+    by_weight: Arrays = ()
 
 
 def evaluate(function: Function, z: Tensor, k: Tensor, w: Tensor, data: Parts, derivatives: bool) -> Evaluated:
@@ -191,7 +225,7 @@ def evaluate(function: Function, z: Tensor, k: Tensor, w: Tensor, data: Parts, d
     axes = (0, 0, None, *(0 for _ in data))
     with torch.no_grad():
         if not derivatives:
-            return Evaluated(vmap(function, in_dims=axes)(z, k, w, *data))
+            return Evaluated(numbers(vmap(function, in_dims=axes)(z, k, w, *data)))
 
         def twice(*arguments: Tensor) -> tuple[Parts, Parts]:
             value = function(*arguments)
@@ -205,11 +239,17 @@ def evaluate(function: Function, z: Tensor, k: Tensor, w: Tensor, data: Parts, d
             found, parts = vmap(jacobian(twice, argnums=wanted, has_aux=True), in_dims=axes)(*tables, *data)
         else:
             found, parts = (), vmap(function, in_dims=axes)(*tables, *data)
+        values = numbers(parts)
         columns = [
             tuple(
-                found[part][wanted.index(i)] if i in wanted else parts[part].new_zeros((*parts[part].shape, 0))
-                for part in range(len(parts))
+                found[part][wanted.index(i)].numpy() if i in wanted else np.zeros((*values[part].shape, 0))
+                for part in range(len(values))
             )
             for i in range(len(tables))
         ]
-        return Evaluated(parts, *columns)
+        return Evaluated(values, *columns)
+
+
+def numbers(parts: Parts) -> Arrays:
+    """Tensors as arrays."""
+    return tuple(part.numpy() for part in parts)

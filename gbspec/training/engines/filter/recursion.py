@@ -9,10 +9,16 @@ with the moments (Gupta and Mehra 1974), all parameters at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
 from gbspec.arrays import Array, Mask
+from gbspec.training.problem import Integers
+
+
+Tables = TypeVar("Tables", "Flow", "Reading")
 
 
 @dataclass
@@ -24,18 +30,15 @@ class Moment:
     dm: Array | None = None
     dp: Array | None = None
 
-    def first(self, count: int) -> Moment:
-        """The moments of the first trajectories."""
-        parts = (None if part is None else part[:count] for part in (self.m, self.p, self.dm, self.dp))
-        return Moment(*parts)  # type: ignore[arg-type]
+    def of(self, who: Integers) -> Moment:
+        """The moments of some trajectories."""
+        return Moment(*(None if table is None else table[who] for table in vars(self).values()))  # type: ignore[arg-type]
 
-    def put(self, other: Moment) -> Moment:
-        """These moments with those of the first trajectories replaced, in place."""
-        count = len(other.m)
-        for mine, its in zip((self.m, self.p, self.dm, self.dp), (other.m, other.p, other.dm, other.dp), strict=True):
-            if mine is not None and its is not None:
-                mine[:count] = its
-        return self
+    def put(self, who: Integers | slice, other: Moment) -> None:
+        """Replaces the moments of some trajectories, in place."""
+        for mine, its in zip(vars(self).values(), vars(other).values(), strict=True):
+            if mine is not None:
+                mine[who] = its
 
 
 @dataclass(frozen=True)
@@ -103,13 +106,80 @@ class Reading:
 
 @dataclass
 class Innovations:
-    """Errors and variances [b, C] of the values of a row, each given the earlier ones, and their derivatives
-    [b, C, k]."""
+    """Errors and variances [b, C] of the values of a row, each given the earlier ones, the predictions `mean` without
+    these, and where wanted the derivatives [b, C, k] of errors and variances. What was not seen has the error 0 and the
+    variance 1."""
 
     error: Array
     variance: Array
+    mean: Array
     d_error: Array | None = None
     d_variance: Array | None = None
+
+    @classmethod
+    def empty(cls, rows: int, channels: int, width: int | None) -> Innovations:
+        """Tables to fill."""
+        slopes = (None, None) if width is None else tuple(np.zeros((rows, channels, width)) for _ in range(2))
+        return cls(np.zeros((rows, channels)), np.ones((rows, channels)), np.zeros((rows, channels)), *slopes)
+
+
+@dataclass
+class Kept:
+    """Means and covariances at the start of each leg, at its end, and after the measurements there."""
+
+    before: Moment
+    end: Moment
+    post: Moment
+
+    @classmethod
+    def empty(cls, legs: int, n: int) -> Kept:
+        """Tables to fill."""
+        return cls(*(Moment(np.zeros((legs, n)), np.zeros((legs, n, n))) for _ in range(3)))
+
+
+def advanced(
+    moment: Moment, owner: Integers, flow: Flow, reading: Reading, place: Integers, kept: Kept | None
+) -> Innovations:
+    """The filter over B legs in their order; what is seen at the rows [R] of `reading`.
+
+    `moment` has the moments of all trajectories, which are replaced by those after the legs; `owner` [B] is the
+    trajectory of each leg, and `place` [B] the row at its end (-1: none). `kept` gets the moments on the way. The compiled `recursion.c` does the same.
+    """
+    rows, channels = reading.y.shape
+    out = Innovations.empty(rows, channels, None if moment.dm is None else moment.dm.shape[2])
+    for begin, end in pairwise(_ends(owner)):
+        legs, who = slice(int(begin), int(end)), owner[begin:end]
+        before = moment.of(who)
+        now = predicted(before, _part(flow, legs))
+        if kept is not None:
+            kept.before.put(legs, before)
+            kept.end.put(legs, now)
+        mine = np.flatnonzero(place[legs] >= 0)
+        if len(mine):
+            at = place[legs][mine]
+            after, found = updated(now.of(mine), _part(reading, at))
+            now.put(mine, after)
+            for table, values in zip(vars(out).values(), vars(found).values(), strict=True):
+                if table is not None:
+                    table[at] = values
+        if kept is not None:
+            kept.post.put(legs, now)
+        moment.put(who, now)
+    return out
+
+
+def _ends(owner: Integers) -> list[int]:
+    """Where the legs of each place end, after a zero: those before are of different trajectories."""
+    order = np.argsort(owner, kind="stable")
+    number = np.zeros(len(owner), dtype=np.int64)
+    number[order] = np.arange(len(owner)) - np.searchsorted(owner[order], owner[order])
+    return [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(owner)]
+
+
+def _part(tables: Tables, which: slice | Integers) -> Tables:
+    """Some rows of all tables."""
+    parts = (None if table is None else table[which] for table in vars(tables).values())
+    return type(tables)(*parts)
 
 
 def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:
@@ -117,7 +187,8 @@ def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:
     b, channels = reading.y.shape
     y = reading.y + np.matmul(reading.c, (before.m - reading.at)[:, :, None])[:, :, 0]
     now = Moment(before.m.copy(), before.p.copy())
-    out = Innovations(np.zeros((b, channels)), np.ones((b, channels)))
+    out = Innovations.empty(b, channels, None if before.dm is None else before.dm.shape[2])
+    out.mean[:] = y
     dc = dy = None
     if before.dm is not None and before.dp is not None:
         assert reading.d_y is not None
@@ -127,7 +198,6 @@ def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:
             n, k = before.dm.shape[1:]
             dc = dc + np.matmul(reading.c_state.reshape(b, channels * n, n), before.dm).reshape(b, channels, n, k)
         now.dm, now.dp = before.dm.copy(), before.dp.copy()
-        out.d_error, out.d_variance = (np.zeros((b, channels, before.dm.shape[2])) for _ in range(2))
     for channel in range(channels):
         who = np.flatnonzero(reading.seen[:, channel])
         if len(who):

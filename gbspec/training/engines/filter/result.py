@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.training.engines.filter.layout import Layout
-from gbspec.training.engines.filter.recursion import Innovations, Moment, Reading
+from gbspec.training.engines.filter.recursion import Innovations, Kept
 from gbspec.training.problem import Integers
 
 
@@ -46,19 +46,13 @@ class Filtered:
         p, q, r = (np.full((rows, channels), np.nan) for _ in range(3))
         return cls(a, d, b, e, c, f, g, np.zeros(legs, dtype=np.bool_), p, q, r, log)
 
-    def put(self, span: slice, before: Moment, end: Moment, a: Array) -> None:
-        """Keeps the moments of a leg."""
-        self.start_mean[span], self.start_cov[span] = before.m, before.p
-        self.end_mean[span], self.end_cov[span], self.a[span] = end.m, end.p, a
-
-    def after(self, span: slice, moment: Moment) -> None:
-        """Keeps the moments after the measurements at the end of a leg."""
-        self.post_mean[span], self.post_cov[span] = moment.m, moment.p
-
-    def note(self, rows: Integers, before: Moment, innovations: Innovations, reading: Reading) -> None:
-        """Keeps the innovations of rows, and the predictions from the moments before their measurements."""
+    def put(self, legs: Integers, kept: Kept, a: Array, rows: Integers, innovations: Innovations) -> None:
+        """Keeps what has been found at legs, and at the rows at their ends."""
+        self.start_mean[legs], self.start_cov[legs] = kept.before.m, kept.before.p
+        self.end_mean[legs], self.end_cov[legs], self.a[legs] = kept.end.m, kept.end.p, a
+        self.post_mean[legs], self.post_cov[legs] = kept.post.m, kept.post.p
         self.error[rows], self.variance[rows] = innovations.error, innovations.variance
-        self.mean[rows] = reading.y + np.matmul(reading.c, (before.m - reading.at)[:, :, None])[:, :, 0]
+        self.mean[rows] = innovations.mean
 
     def finish(self, seen: Mask) -> None:
         """Computes the likelihood of the measurements that were used."""
@@ -92,23 +86,22 @@ class Information:
 
 @dataclass
 class Sums:
-    """Sums over values of the derivatives of their log likelihoods; `legs_rank` [N]: the trajectories in their order.
+    """Sums over values of the derivatives of their log likelihoods.
 
     With an error e of variance v, each a function of the parameters, a value contributes e e_k / v + (1 - e^2 / v)
     v_k / (2 v) to the gradient, and e_k e_l / v + v_k v_l / (2 v^2) to the information.
     """
 
     layout: Layout
-    legs_rank: Integers
     _gradient: Array = field(init=False)
     _rows: list[Array] = field(default_factory=list, init=False)
     _owner: list[Integers] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        self._gradient = np.zeros((len(self.legs_rank), self.layout.width))
+        self._gradient = np.zeros((self.layout.parameters.trajectories, self.layout.width))
 
     def add(self, who: Integers, innovations: Innovations, seen: Mask) -> None:
-        """Adds the values `seen` [b, C] of a row of the trajectories whose ranks are `who` [b]."""
+        """Adds the values `seen` [b, C] of rows of the trajectories `who` [b]."""
         assert innovations.d_error is not None
         assert innovations.d_variance is not None
         row, channel = np.nonzero(seen)
@@ -127,12 +120,11 @@ class Sums:
         shared = layout.places[0, : layout.shared] if len(layout.places) else np.zeros(0, dtype=np.int64)
         common = rows[:, : layout.shared]
         matrix[np.ix_(shared, shared)] = common.T @ common
-        for rank, trajectory in enumerate(self.legs_rank):
-            places = layout.places[trajectory]
-            np.add.at(gradient, places, self._gradient[rank])
+        for trajectory, places in enumerate(layout.places):
+            np.add.at(gradient, places, self._gradient[trajectory])
             own = places[layout.shared :]
             if len(own):
-                mine = rows[owner == rank]
+                mine = rows[owner == trajectory]
                 block = mine[:, layout.shared :]
                 matrix[np.ix_(own, own)] = block.T @ block
                 cross = mine[:, : layout.shared].T @ block

@@ -1,0 +1,75 @@
+"""The functions of legs and rows, each by the way that is fastest for the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.arrays import Array
+from gbspec.training.engines.filter.forward import Forward
+from gbspec.training.engines.filter.local import Arrays, Evaluated, Local, Parts, evaluate, numbers
+
+
+@dataclass(frozen=True)
+class Functions:
+    """The functions at B points with coordinates `z` [B, n], constants `k` [B, k] and the weights `w`; `forward` is None
+    for models that need torch."""
+
+    local: Local
+    forward: Forward | None
+
+    def moved(self, z: Array, k: Array, w: Tensor, data: Arrays) -> tuple[Arrays, Array]:
+        """Mean, transition and added covariance at the ends of legs, and the coordinates at their sub-steps."""
+        if self.forward is not None:
+            return self.forward.moved(z, k, data)
+        parts, starts = self.local.moved(torch.from_numpy(z), torch.from_numpy(k), w, tensors(data))
+        return numbers(parts), starts.numpy()
+
+    def step(self, z: Array, k: Array, w: Tensor, data: Arrays) -> Evaluated:
+        """The same for single sub-steps, with derivatives."""
+        if self.forward is not None:
+            return self.forward.step(z, k, data)
+        return _by_torch(self.local.step, z, k, w, data, True)
+
+    def observation(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """Predicted channels of rows and their slopes."""
+        if self.forward is not None:
+            return self.forward.observation(z, k, data, derivatives)
+        if derivatives:
+            return _by_torch(self.local.observation, z, k, w, data, True)
+        return Evaluated(numbers(self.local.observed(torch.from_numpy(z), torch.from_numpy(k), w, tensors(data))))
+
+    def start(self, starts: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """Mean and covariance at the starts of trajectories, which do not depend on weights."""
+        if self.forward is not None:
+            return self.forward.start(starts, k, data, derivatives)
+        found = _by_torch(self.local.start, starts, k, w[:0], data, derivatives)
+        by_weight = tuple(np.zeros((*part.shape, len(w))) for part in found.parts)
+        return Evaluated(found.parts, found.by_state, found.by_constant, by_weight)
+
+    def factors(self, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """The matrices and disturbances of a linear model."""
+        if self.forward is not None:
+            return self.forward.factors(k, data, derivatives)
+        return _by_torch(self.local.factors, np.zeros((len(k), 0)), k, w, data, derivatives)
+
+    def push(self, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """What does not depend on its states."""
+        if self.forward is not None:
+            return self.forward.push(k, data, derivatives)
+        return _by_torch(self.local.push, np.zeros((len(k), 0)), k, w, data, derivatives)
+
+
+def tensors(data: Arrays) -> Parts:
+    """Arrays as tensors."""
+    return tuple(torch.from_numpy(np.ascontiguousarray(part)) for part in data)
+
+
+def _by_torch(
+    function: Callable[..., Parts], z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool
+) -> Evaluated:
+    return evaluate(function, torch.from_numpy(z), torch.from_numpy(k), w, tensors(data), derivatives)

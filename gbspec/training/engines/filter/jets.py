@@ -1,0 +1,352 @@
+"""Values of many points with their first and second derivatives, in numpy: an arithmetic for a model's equations.
+
+The derivatives of small models by autodifferentiation of tensors cost far more than the numbers in them. A `Jet` is a
+value with its derivatives in p variables, of which the first n are coordinates, and with second derivatives in the
+coordinates and all variables: what an extended Kalman filter and its gradient need (forward mode, Griewank and Walther
+2008, chapter 13).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any, TypeAlias
+
+import numpy as np
+from scipy import special
+
+from gbspec.arrays import Array, Mask
+
+Slopes: TypeAlias = Array | None
+"""Derivatives; None where they are zero."""
+
+
+class Jet:
+    """Values [...], derivatives `first` [..., p] and, for n > 0, `second` [..., n, p]; None where these are zero."""
+
+    __slots__ = ("first", "n", "second", "value")
+    __array_ufunc__ = None
+
+    def __init__(self, value: Any, first: Slopes = None, second: Slopes = None, n: int = 0) -> None:
+        self.value, self.first, self.second, self.n = np.asarray(value), first, second, n
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the values."""
+        return self.value.shape
+
+    def chained(self, value: Array, slope: Any, bend: Any) -> Jet:
+        """A function of this with these values and its first and second derivative."""
+        if self.first is None:
+            return Jet(value)
+        first = np.asarray(slope)[..., None] * self.first
+        second = None
+        if self.n:
+            second = _outer(np.asarray(bend), self.first, self.first, self.n) if np.any(bend) else None
+            if self.second is not None:
+                second = _sum(second, np.asarray(slope)[..., None, None] * self.second)
+        return Jet(value, first, second, self.n)
+
+    def __add__(self, other: Any) -> Jet:
+        other = jet(other)
+        return Jet(
+            self.value + other.value,
+            _sum(self.first, other.first),
+            _sum(self.second, other.second),
+            max(self.n, other.n),
+        )
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Jet:
+        return Jet(-self.value, _negative(self.first), _negative(self.second), self.n)
+
+    def __sub__(self, other: Any) -> Jet:
+        return self + (-jet(other) if isinstance(other, Jet) else -np.asarray(other))
+
+    def __rsub__(self, other: Any) -> Jet:
+        return (-self) + other
+
+    def __mul__(self, other: Any) -> Jet:
+        other = jet(other)
+        value, n = self.value * other.value, max(self.n, other.n)
+        first = _sum(_scaled(self.first, other.value, 1), _scaled(other.first, self.value, 1))
+        if not n:
+            return Jet(value, first)
+        second = _sum(_scaled(self.second, other.value, 2), _scaled(other.second, self.value, 2))
+        if self.first is not None and other.first is not None:
+            one = np.ones(())
+            both = _outer(one, self.first, other.first, n) + _outer(one, other.first, self.first, n)
+            second = _sum(second, both)
+        return Jet(value, first, second, n)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Jet:
+        if not isinstance(other, Jet):
+            return self * (1 / np.asarray(other))
+        return self * (other**-1)
+
+    def __rtruediv__(self, other: Any) -> Jet:
+        return other * (self**-1)
+
+    def __pow__(self, exponent: Any) -> Jet:
+        if isinstance(exponent, Jet):
+            return exp(exponent * log(self)) if exponent.first is not None else self**exponent.value
+        e, x = np.asarray(exponent, dtype=np.float64), self.value
+        slope = np.where(e == 0, 0.0, e * x ** np.where(e == 0, 1.0, e - 1))
+        flat = (e == 0) | (e == 1)
+        return self.chained(x**e, slope, np.where(flat, 0.0, e * (e - 1) * x ** np.where(flat, 1.0, e - 2)))
+
+    def __rpow__(self, base: Any) -> Jet:
+        return exp(self * np.log(base))
+
+    def __lt__(self, other: Any) -> Any:
+        return self.value < jet(other).value
+
+    def __le__(self, other: Any) -> Any:
+        return self.value <= jet(other).value
+
+    def __gt__(self, other: Any) -> Any:
+        return self.value > jet(other).value
+
+    def __ge__(self, other: Any) -> Any:
+        return self.value >= jet(other).value
+
+    def __getitem__(self, key: Any) -> Jet:
+        """Part of the values; the key has no `...` after which derivatives would be taken apart."""
+        key = key if isinstance(key, tuple) else (key,)
+        end = (slice(None),)
+        first = None if self.first is None else _wide(self.first, self.value.ndim, 1)[(*key, *end)]
+        second = None if self.second is None else _wide(self.second, self.value.ndim, 2)[(*key, *end, *end)]
+        return Jet(self.value[key], first, second, self.n)
+
+    def derivatives(self, shape: tuple[int, ...], p: int) -> Array:
+        """`first` in full."""
+        return np.zeros((*shape, p)) if self.first is None else np.broadcast_to(self.first, (*shape, p))
+
+    def bends(self, shape: tuple[int, ...], n: int, p: int) -> Array:
+        """`second` in full."""
+        return np.zeros((*shape, n, p)) if self.second is None else np.broadcast_to(self.second, (*shape, n, p))
+
+
+def jet(value: Any) -> Jet:
+    """A value as a jet."""
+    return value if isinstance(value, Jet) else Jet(value)
+
+
+def _wide(table: Array, axes: int, more: int) -> Array:
+    """The table with as many leading axes as the values have."""
+    return table.reshape((1,) * (axes + more - table.ndim) + table.shape) if table.ndim < axes + more else table
+
+
+def _sum(a: Slopes, b: Slopes) -> Slopes:
+    if a is None or b is None:
+        return b if a is None else a
+    return a + b
+
+
+def _negative(a: Slopes) -> Slopes:
+    return None if a is None else -a
+
+
+def _scaled(table: Slopes, by: Array, axes: int) -> Slopes:
+    return None if table is None else table * by.reshape(by.shape + (1,) * axes)
+
+
+def _outer(by: Array, a: Array, b: Array, n: int) -> Array:
+    left = a[..., :n] if by.ndim == 0 and float(by) == 1.0 else by[..., None] * a[..., :n]
+    return np.asarray(left[..., :, None] * b[..., None, :])
+
+
+def _unary(
+    function: Callable[[Array], Array], slopes: Callable[[Array, Array], tuple[Any, Any]]
+) -> Callable[[Any], Any]:
+    """A function of numbers or jets; `slopes(x, f(x))` are its first two derivatives."""
+
+    def of(x: Any) -> Any:
+        if not isinstance(x, Jet):
+            return function(np.asarray(x))
+        value = function(x.value)
+        return x.chained(value, *slopes(x.value, value))
+
+    return of
+
+
+exp = _unary(np.exp, lambda x, f: (f, f))
+log = _unary(np.log, lambda x, f: (1 / x, -1 / x**2))
+_atan2 = np.arctan2
+
+
+def _root(x: Array, f: Array) -> tuple[Array, Array]:
+    return 0.5 / f, -0.25 / (f * x)
+
+
+def _logistic(x: Array) -> Array:
+    return np.asarray(special.expit(x))
+
+
+_UNARY = {
+    "exp": exp,
+    "log": log,
+    "sin": _unary(np.sin, lambda x, f: (np.cos(x), -f)),
+    "cos": _unary(np.cos, lambda x, f: (-np.sin(x), -f)),
+    "tan": _unary(np.tan, lambda x, f: (1 + f**2, 2 * f * (1 + f**2))),
+    "tanh": _unary(np.tanh, lambda x, f: (1 - f**2, -2 * f * (1 - f**2))),
+    "sinh": _unary(np.sinh, lambda x, f: (np.cosh(x), f)),
+    "cosh": _unary(np.cosh, lambda x, f: (np.sinh(x), f)),
+    "asin": _unary(np.arcsin, lambda x, f: ((1 - x**2) ** -0.5, x * (1 - x**2) ** -1.5)),
+    "acos": _unary(np.arccos, lambda x, f: (-((1 - x**2) ** -0.5), -x * (1 - x**2) ** -1.5)),
+    "atan": _unary(np.arctan, lambda x, f: (1 / (1 + x**2), -2 * x / (1 + x**2) ** 2)),
+    "asinh": _unary(np.arcsinh, lambda x, f: ((1 + x**2) ** -0.5, -x * (1 + x**2) ** -1.5)),
+    "acosh": _unary(np.arccosh, lambda x, f: ((x**2 - 1) ** -0.5, -x * (x**2 - 1) ** -1.5)),
+    "atanh": _unary(np.arctanh, lambda x, f: (1 / (1 - x**2), 2 * x / (1 - x**2) ** 2)),
+    "sqrt": _unary(np.sqrt, _root),
+    "abs": _unary(np.abs, lambda x, f: (np.sign(x), np.zeros(()))),
+    "sign": _unary(np.sign, lambda x, f: (np.zeros(()), np.zeros(()))),
+    "floor": _unary(np.floor, lambda x, f: (np.zeros(()), np.zeros(()))),
+    "softplus": _unary(
+        lambda x: np.asarray(np.logaddexp(x, 0.0)),
+        lambda x, f: (_logistic(x), _logistic(x) * (1 - _logistic(x))),
+    ),
+    "logistic": _unary(_logistic, lambda x, f: (f * (1 - f), f * (1 - f) * (1 - 2 * f))),
+}
+
+
+def _where(condition: Any, a: Any, b: Any) -> Any:
+    if not isinstance(a, Jet) and not isinstance(b, Jet):
+        return np.where(condition, a, b)
+    a, b, mask = jet(a), jet(b), np.asarray(condition)
+
+    def chosen(mine: Slopes, its: Slopes, axes: int) -> Slopes:
+        if mine is None and its is None:
+            return None
+        wide = mask.reshape(mask.shape + (1,) * axes)
+        return np.where(wide, 0.0 if mine is None else mine, 0.0 if its is None else its)
+
+    return Jet(
+        np.where(mask, a.value, b.value), chosen(a.first, b.first, 1), chosen(a.second, b.second, 2), max(a.n, b.n)
+    )
+
+
+def _guard(condition: Any, x: Any) -> Any:
+    return _where(condition, x, jet(x).value) if isinstance(x, Jet) else x
+
+
+def _angle(y: Any, x: Any) -> Any:
+    """atan2, by the imaginary part of a logarithm: its derivatives are those of atan(y / x) on either axis."""
+    a, b = jet(y), jet(x)
+    if a.first is None and b.first is None:
+        return np.arctan2(a.value, b.value)
+    turned = np.abs(b.value) < np.abs(a.value)
+    upper = _where(turned, b, a) / _where(turned, a, b)
+    found = _UNARY["atan"](upper)
+    found = _where(turned, -found, found)
+    return found + (np.arctan2(a.value, b.value) - found.value)
+
+
+def _unpack(x: Any) -> Any:
+    if isinstance(x, tuple):
+        return x
+    if not isinstance(x, Jet):
+        return tuple(np.moveaxis(x, -1, 0))
+    key = (slice(None),) * (x.value.ndim - 1)
+    return tuple(x[(*key, i)] for i in range(x.shape[-1]))
+
+
+def _assembled(like: Any, parts: Sequence[Any], put: Callable[[list[Array], int], Array]) -> Jet:
+    """Parts put together on their last axis, broadcast."""
+    whole = [jet(part) for part in parts]
+    shape = np.broadcast_shapes(*(w.shape for w in whole), like)
+    value = put([np.broadcast_to(w.value, np.broadcast_shapes(shape, w.shape)) for w in whole], 0)
+    n = max((w.n for w in whole), default=0)
+
+    def table(name: str, axes: int) -> Slopes:
+        found = [getattr(w, name) for w in whole]
+        ends = {f.shape[-axes:] for f in found if f is not None}
+        if not ends:
+            return None
+        end = max(ends)
+        zero = np.zeros((1,) * axes)
+        return put([np.broadcast_to(zero if f is None else f, (*shape, *end)) for f in found], axes)
+
+    return Jet(value, table("first", 1), table("second", 2) if n else None, n)
+
+
+def _pack(like: Any, parts: Sequence[Any]) -> Any:
+    if not parts:
+        return np.zeros((*like.shape[:-1], 0))
+    return _assembled(like.shape[:-1], parts, lambda tables, axes: np.stack(tables, -1 - axes))
+
+
+def _join(like: Any, *parts: Any) -> Any:
+    """Vectors one after the other: each is taken apart, which long vectors are too rare for to matter."""
+    pieces: list[Any] = []
+    for part in parts:
+        pieces += [part] if np.ndim(getattr(part, "value", part)) == 0 else _unpack(part)
+    return _pack(like, pieces)
+
+
+def _column(x: Any) -> Any:
+    if not isinstance(x, Jet):
+        return np.expand_dims(x, -1) if np.ndim(x) else x
+    first = None if x.first is None else np.expand_dims(x.first, -2)
+    second = None if x.second is None else np.expand_dims(x.second, -3)
+    return Jet(np.expand_dims(x.value, -1), first, second, x.n)
+
+
+def _total(x: Any) -> Any:
+    parts = _unpack(x)
+    return functools.reduce(lambda a, b: a + b, parts) if len(parts) else 0.0
+
+
+def _part(x: Any, *ends: int) -> Any:
+    key = slice(*ends) if len(ends) < 3 else list(range(*ends))
+    return x[(*(slice(None),) * (len(x.shape) - 1), key)]
+
+
+def _entry(x: Any, place: int) -> Any:
+    return x[(*(slice(None),) * (len(x.shape) - 1), place)]
+
+
+def _repeat(like: Any, x: Any, count: int) -> Any:
+    return _pack(like, [x] * count)
+
+
+def _indices(like: Any, *ends: int) -> Array:
+    return np.broadcast_to(np.arange(*ends, dtype=np.float64), (*like.shape[:-1], ends[1] - ends[0]))
+
+
+@functools.cache
+def jet_arithmetic() -> Any:
+    """The arithmetic, with the names of `backends/module/template/arithmetic.py`; for models without networks."""
+    return SimpleNamespace(
+        **_UNARY,
+        atan2=_angle,
+        minimum=lambda a, b: _where(jet(a).value <= jet(b).value, a, b),
+        maximum=lambda a, b: _where(jet(a).value >= jet(b).value, a, b),
+        logical_and=np.logical_and,
+        logical_or=np.logical_or,
+        logical_not=np.logical_not,
+        where=_where,
+        guard=_guard,
+        unpack=_unpack,
+        pack=_pack,
+        column=_column,
+        columns=lambda values: tuple(map(_column, values)),
+        fill=lambda like, x: np.broadcast_to(x, like.shape[:-1]),
+        ahead=lambda x, h, k: x + h * k,
+        part=_part,
+        entry=_entry,
+        total=_total,
+        join=_join,
+        repeat=_repeat,
+        indices=_indices,
+        pi=np.pi,
+        inf=np.inf,
+        nan=np.nan,
+    )
+
+
+__all__ = ["Jet", "Mask", "jet", "jet_arithmetic"]
