@@ -100,6 +100,8 @@ class InnovationsFit:
             "damping": np.array(1e-2),
             "ridge": np.array(ridge if len(weights) else 0.0),
             "small": np.array(0.0),
+            "start_mean": np.zeros((0, 0)),
+            "end_mean": np.zeros((0, 0)),
         }
 
     def _scaled(self, theta: Array, factor: float) -> Array:
@@ -140,7 +142,7 @@ class InnovationsFit:
         """One iteration: the information, and as many dampings as are needed for a higher likelihood."""
         engine, vector = self.engine, np.concatenate([state["theta"], state["log_sd"]])
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
-        system = self._system(vector, ridge)
+        system = self._system(vector, ridge, (state["start_mean"], state["end_mean"]))
         if not system.found.finite:
             raise self._failure(vector, system.found)
         count = max(int(engine.problem.seen.sum()), 1)
@@ -148,7 +150,7 @@ class InnovationsFit:
             move = self._move(system, damping, vector)
             predicted = -float(system.gradient @ move + 0.5 * move @ system.matrix @ move)
             trial = vector + move
-            found = engine.filtered(trial, guess=system.found)
+            found = engine.filtered(trial, guess=(system.found.start_mean, system.found.end_mean))
             value = self._value(trial, ridge, found)
             if value < system.value:
                 break
@@ -168,6 +170,8 @@ class InnovationsFit:
             "damping": np.array(float(np.clip(damping * (0.2 if gain > 0.5 else 2.0), 1e-9, 1e6))),
             "ridge": np.array(ridge),
             "small": np.array(small),
+            "start_mean": found.start_mean,
+            "end_mean": found.end_mean,
         }
         return Outcome(new, found.value / count, small >= 2)
 
@@ -207,9 +211,9 @@ class InnovationsFit:
             return float("inf")
         return found.value + 0.5 * ridge * float(weights @ weights) + self._priors().penalty(theta)
 
-    def _system(self, vector: Array, ridge: float) -> _System:
+    def _system(self, vector: Array, ridge: float, guess: tuple[Array, Array] | None = None) -> _System:
         engine = self.engine
-        found = engine.filtered(vector)
+        found = engine.filtered(vector, guess=guess if guess is not None and len(guess[0]) else None)
         information = engine.information(vector, found)
         theta, _ = engine.layout.split(vector)
         gradient, matrix = information.gradient.copy(), information.matrix.copy()

@@ -42,6 +42,9 @@ one place after the other."""
 CHUNK = 192 * 1024**2
 """Approximate size in bytes of the derivatives that are kept at a time."""
 
+Means = tuple[Array, Array]
+"""The means [B, n] at the starts and ends of legs."""
+
 
 @dataclass(frozen=True)
 class FilterEngine:
@@ -178,9 +181,11 @@ class FilterEngine:
         return Moment(m, p, dm, dp)
 
     # ---------------------------------------------------------------- the filter
-    def filtered(self, vector: Array, seen: Mask | None = None, guess: Filtered | None = None) -> Filtered:
-        """The filter at a vector; with `seen` [R, C] only these measurements update the moments. `guess` is the filter
-        at a vector nearby, which saves time."""
+    def filtered(
+        self, vector: Array, seen: Mask | None = None, guess: Means | None = None
+    ) -> Filtered:
+        """The filter at a vector; with `seen` [R, C] only these measurements update the moments. `guess` are the means
+        at the starts and ends of legs for a vector nearby, which saves time."""
         theta, log_sd = self.layout.split(vector)
         return _Search(self, At.of(self.layout, theta), log_sd, seen, guess).run()
 
@@ -259,7 +264,7 @@ class FilterEngine:
 class _Search:
     """The search of the means at one vector."""
 
-    def __init__(self, engine: FilterEngine, at: At, log_sd: Array, seen: Mask | None, near: Filtered | None) -> None:
+    def __init__(self, engine: FilterEngine, at: At, log_sd: Array, seen: Mask | None, near: Means | None) -> None:
         self.engine, self.at, self.log_sd = engine, at, log_sd
         self.legs, problem = engine.legs, engine.problem
         n, count = len(problem.model.states), len(engine.legs.owner)
@@ -270,8 +275,8 @@ class _Search:
         finite = np.where(np.isfinite(self.start.m), self.start.m, 0.0)
         guess = np.where(np.isfinite(self.first), self.first, finite[self.legs.owner])
         self.found.start_mean[:], self.found.end_mean[:] = guess, guess
-        if near is not None and near.finite:
-            self.found.start_mean[:], self.found.end_mean[:] = near.start_mean, near.end_mean
+        if near is not None and all(np.isfinite(table).all() for table in near):
+            self.found.start_mean[:], self.found.end_mean[:] = near
 
     def run(self) -> Filtered:
         """The filter's moments where the guess is exact."""

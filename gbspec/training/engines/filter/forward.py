@@ -14,13 +14,13 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.ir import Model
 from gbspec.training.engines.filter.coordinates import LEAST
-from gbspec.training.engines.filter.jets import Jet, jet, jet_arithmetic
+from gbspec.training.engines.filter.jets import Jet, Vector, jet, jet_arithmetic
 from gbspec.training.engines.filter.local import Arrays, Evaluated, Local
 
 
 def covers(model: Model) -> bool:
-    """Whether equations need no networks, tables or searches."""
-    return not (model.networks or model.tables or model.algebraics or model.steady or model.delays)
+    """Whether equations need no networks, vectors, tables or searches."""
+    return not (model.networks or model.arrays or model.tables or model.algebraics or model.steady or model.delays)
 
 
 @dataclass(frozen=True)
@@ -35,65 +35,60 @@ class _Point:
     p: int
     bent: bool
 
-    def seeded(self, z: Array) -> Jet:
+    def seeded(self, z: Array) -> Vector:
         """Coordinates [B, n] as variables."""
-        first = np.zeros((1, self.n, self.p))
-        first[0, :, : self.n] = np.eye(self.n)
-        return Jet(z, first, None, self.n if self.bent else 0)
+        unit, n = np.eye(self.p)[:, None], self.n if self.bent else 0
+        return Vector(Jet(z[:, i], unit[i], None, n) for i in range(self.n))
 
-    def states(self, z: Jet) -> Any:
+    def states(self, z: Vector) -> Vector:
         """The states of coordinates."""
-        ops, log = jet_arithmetic(), self.local.coordinates.log
         if self.local.coordinates.plain:
             return z
-        return ops.pack(z, [ops.exp(x) if logged else x for x, logged in zip(ops.unpack(z), log, strict=True)])
+        exp, log = jet_arithmetic().exp, self.local.coordinates.log
+        return Vector(exp(x) if logged else x for x, logged in zip(z, log, strict=True))
 
-    def of_states(self, x: Any) -> Any:
+    def of_states(self, x: Vector) -> Vector:
         """The coordinates of states."""
-        ops, log = jet_arithmetic(), self.local.coordinates.log
         if self.local.coordinates.plain:
             return x
-        return ops.pack(x, [ops.log(each) if logged else each for each, logged in zip(ops.unpack(x), log, strict=True)])
+        log, logged = jet_arithmetic().log, self.local.coordinates.log
+        return Vector(log(each) if mine else each for each, mine in zip(x, logged, strict=True))
 
-    def spread(self, z: Jet, u: Array) -> Jet:
-        """The sizes of the disturbances [B, n]."""
+    def spread(self, x: Vector, u: Array) -> Vector:
+        """The sizes of the disturbances [n] at states."""
         equations = self.local.problem.module.equations
-        return jet(equations.diffusions(jet_arithmetic(), self.states(z), self.condition, u, self.constants))
+        found: Vector = equations.diffusions(jet_arithmetic(), x, self.condition, u, self.constants)
+        return found
 
-    def drift(self, t: Any, z: Any, u: Array) -> Jet:
-        """The drift of the coordinates [B, n]."""
-        ops, coordinates = jet_arithmetic(), self.local.coordinates
-        x = self.states(z)
-        rate = self.local.problem.module.equations.rhs(ops, t, x, self.condition, u, self.constants, ())
-        if coordinates.plain:
-            return jet(rate)
-        sizes, parts = ops.unpack(self.spread(z, u)), []
-        for i, (each, state) in enumerate(zip(ops.unpack(rate), ops.unpack(x), strict=True)):
-            parts.append(each / state - 0.5 * sizes[i] ** 2 if coordinates.log[i] else each)
-        return jet(ops.pack(x, parts))
+    def drift(self, t: Any, z: Vector, u: Array) -> Vector:
+        """The drift of the coordinates [n]."""
+        log, x = self.local.coordinates.log, self.states(z)
+        equations = self.local.problem.module.equations
+        rate: Vector = equations.rhs(jet_arithmetic(), t, x, self.condition, u, self.constants, ())
+        if self.local.coordinates.plain:
+            return rate
+        sizes = self.spread(x, u)
+        return Vector(
+            rate[i] / x[i] - 0.5 * (sizes[i] * sizes[i]) if log[i] else rate[i] for i in range(len(rate))
+        )
 
-    def dosed(self, z: Jet, amounts: Array) -> Jet:
+    def dosed(self, z: Vector, amounts: Array) -> Vector:
         """The coordinates after doses [B, kinds]."""
-        ops, model = jet_arithmetic(), self.local.problem.model
-        terms = self.local.problem.module.equations.doses(ops, self.condition, self.constants)
-        parts = list(ops.unpack(self.states(z)))
-        for kind, (fraction, _) in enumerate(terms):
+        model, equations = self.local.problem.model, self.local.problem.module.equations
+        parts = list(self.states(z))
+        for kind, (fraction, _) in enumerate(equations.doses(jet_arithmetic(), self.condition, self.constants)):
             state = model.state_index[model.doses[kind].state]
             parts[state] = parts[state] + amounts[:, kind] * jet(fraction)
-        return jet(self.of_states(ops.pack(z, parts)))
+        return self.of_states(Vector(parts))
 
-    def observed(self, t: Array, z: Jet, u: Array) -> Jet:
-        """The predicted channels [B, C]."""
-        ops, log, x = jet_arithmetic(), self.local.log_channels, self.states(z)
-        equations = self.local.problem.module.equations
-        y = equations.observe(ops, t, x, self.condition, u, self.constants, ())
-        if not log.any():
-            return jet(y)
-        parts = [
+    def observed(self, t: Array, z: Vector, u: Array) -> Vector:
+        """The predicted channels [C]."""
+        ops, equations = jet_arithmetic(), self.local.problem.module.equations
+        y = equations.observe(ops, t, self.states(z), self.condition, u, self.constants, ())
+        return Vector(
             ops.log(ops.where(jet(each).value > LEAST, each, LEAST)) if logged else each
-            for each, logged in zip(ops.unpack(y), log, strict=True)
-        ]
-        return jet(ops.pack(y, parts))
+            for each, logged in zip(y, self.local.log_channels, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -131,45 +126,45 @@ class Forward:
         with np.errstate(all="ignore"):
             point = self._point(k, condition, z.shape[1], derivatives)
             if not doses.shape[-1]:
-                return self._split(*self._undosed(point, z, (t, h, u)), z.shape[1])
+                return self._split(*self._undosed(point, z, (t, h, u)), point.n)
             jump = point.dosed(point.seeded(z), doses)
-            return _after(jump, *self._undosed(point, jump.value, (t, h, u)), point)
+            return _after(jump, self._undosed(point, jump.value(len(z)), (t, h, u)), point)
 
     def _undosed(self, point: _Point, z: Array, data: Arrays) -> tuple[Arrays, Arrays]:
         """Mean, transition and added covariance of a sub-step, and their derivatives [B, ..., p]."""
         t, h, u = data
         ops, equations = jet_arithmetic(), self.local.problem.module.equations
-        nodes, n, p = tuple(u[:, i] for i in range(u.shape[1])), z.shape[1], point.p
-        seed, count = point.seeded(z), len(z)
+        nodes, n, p, count = tuple(u[:, i] for i in range(u.shape[1])), z.shape[1], point.p, len(z)
+        seed = point.seeded(z)
         end = equations.step(ops, point.drift, equations.grid(ops, t, h), seed, nodes)
-        first, last = point.drift(t, seed, nodes[0]), point.drift(t + h, point.seeded(end.value), nodes[-1])
-        d_end = end.derivatives((count, n), p)
-        a, f, g = (part.derivatives((count, n), p)[..., :n] for part in (end, first, last))
+        mean = end.value(count)
+        first, last = point.drift(t, seed, nodes[0]), point.drift(t + h, point.seeded(mean), nodes[-1])
+        d_end = end.slopes(count, p)
+        a, f, g = d_end[..., :n], first.slopes(count, p)[..., :n], last.slopes(count, p)[..., :n]
         size = h[:, None, None]
         middle = 0.5 * (a + np.eye(n)) + 0.125 * size * (g - a @ f)
         between = nodes[self.local.middle] if self.local.middle is not None else 0.5 * (nodes[0] + nodes[-1])
-        places = (z, nodes[0]), (0.5 * (z + end.value), between), (end.value, nodes[-1])
-        spreads = [point.spread(point.seeded(where), inputs) for where, inputs in places]
-        factors = (a, middle, np.eye(n)[None])
-        x = [m * s.value[:, None] for m, s in zip(factors, spreads, strict=True)]
+        places = (z, nodes[0]), (0.5 * (z + mean), between), (mean, nodes[-1])
+        spreads = [point.spread(point.states(point.seeded(where)), inputs) for where, inputs in places]
+        factors, sizes = (a, middle, np.eye(n)[None]), [spread.value(count) for spread in spreads]
+        x = [m * s[:, None] for m, s in zip(factors, sizes, strict=True)]
         weights = (size / 6, 4 * size / 6, size / 6)
         q = sum(w * (each @ each.transpose(0, 2, 1)) for w, each in zip(weights, x, strict=True))
         if not point.bent:
-            return (end.value, a, np.asarray(q)), ()
-        da, df = (part.bends((count, n), n, p) for part in (end, first))
-        dg = _along(last.bends((count, n), n, p), d_end, n)
+            return (mean, a, np.asarray(q)), ()
+        da, df = end.bends(count, n, p), first.bends(count, n, p)
+        dg = _along(last.bends(count, n, p), d_end, n)
         d_middle = 0.5 * da + 0.125 * size[..., None] * (dg - _product(a, f, da, df))
-        one = np.broadcast_to(np.concatenate([np.eye(n), np.zeros((n, p - n))], 1), (count, n, p))
+        one = np.broadcast_to(np.eye(n, p), (count, n, p))
         dq = np.zeros((count, n, n, p))
-        moves = zip(weights, x, factors, (da, d_middle, None), spreads, (one, 0.5 * (one + d_end), d_end), strict=True)
-        for w, each, factor, d_factor, spread, d_place in moves:
-            ds = _along(spread.derivatives((count, n), p), d_place, n)
-            dx = factor[..., None] * ds[:, None]
+        moves = zip(weights, x, factors, (da, d_middle, None), spreads, sizes, (one, 0.5 * (one + d_end), d_end), strict=True)
+        for w, each, factor, d_factor, spread, s, d_place in moves:
+            dx = factor[..., None] * _along(spread.slopes(count, p), d_place, n)[:, None]
             if d_factor is not None:
-                dx = dx + d_factor * spread.value[:, None, :, None]
-            part = np.einsum("bijp,bkj->bikp", dx, each, optimize=False)
+                dx = dx + d_factor * s[:, None, :, None]
+            part = np.matmul(each[:, None], dx)
             dq += w[..., None] * (part + part.transpose(0, 2, 1, 3))
-        return (end.value, a, np.asarray(q)), (d_end, da, dq)
+        return (mean, a, np.asarray(q)), (d_end, da, dq)
 
     @staticmethod
     def _split(parts: Arrays, slopes: Arrays, n: int) -> Evaluated:
@@ -184,11 +179,10 @@ class Forward:
         with np.errstate(all="ignore"):
             point = self._point(k, condition, z.shape[1], derivatives)
             y = point.observed(t, point.seeded(z), u)
-        n, shape = z.shape[1], y.shape
-        slopes = y.derivatives(shape, point.p)
-        return self._split(
-            (y.value, slopes[..., :n]), (slopes, y.bends(shape, n, point.p)) if derivatives else (), n
-        )
+        n, count = z.shape[1], len(z)
+        slopes = y.slopes(count, point.p)
+        parts = y.value(count), slopes[..., :n]
+        return self._split(parts, (slopes, y.bends(count, n, point.p)) if derivatives else (), n)
 
     def start(self, starts: Array, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
         """`Local.start`."""
@@ -197,14 +191,14 @@ class Forward:
         with np.errstate(all="ignore"):
             point = self._point(k, condition, n, derivatives)
             seed, equations = point.seeded(starts), self.local.problem.module.equations
-            z = jet(point.of_states(equations.initial(jet_arithmetic(), seed, condition, point.constants)))
-        slopes = z.derivatives(z.shape, point.p)
+            z = point.of_states(Vector(equations.initial(jet_arithmetic(), seed, condition, point.constants)))
+        slopes = z.slopes(len(starts), point.p)
         a = slopes[..., :n]
         p = (a * variance[:, None]) @ a.transpose(0, 2, 1)
         if not derivatives:
-            return self._split((z.value, p), (), n)
-        part = np.einsum("bijp,bj,bkj->bikp", z.bends(z.shape, n, point.p), variance, a, optimize=False)
-        return self._split((z.value, p), (slopes, part + part.transpose(0, 2, 1, 3)), n)
+            return self._split((z.value(len(starts)), p), (), n)
+        part = np.matmul((a * variance[:, None])[:, None], z.bends(len(starts), n, point.p))
+        return self._split((z.value(len(starts)), p), (slopes, part + part.transpose(0, 2, 1, 3)), n)
 
     # ---------------------------------------------------------------- linear models
     def factors(self, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
@@ -215,10 +209,9 @@ class Forward:
             point = self._point(k, condition, n, derivatives)
             zero = point.seeded(np.zeros((len(k), n)))
             drift, spread = point.drift(np.zeros(len(k)), zero, u), point.spread(zero, u)
-        shape, p = (len(k), n), point.p
-        f, s = drift.derivatives(shape, p)[..., :n], np.broadcast_to(spread.value, shape)
-        slopes = (drift.bends(shape, n, p), spread.derivatives(shape, p)) if derivatives else ()
-        return self._split((f, s), slopes, n)
+        p, count = point.p, len(k)
+        slopes = (drift.bends(count, n, p), spread.slopes(count, p)) if derivatives else ()
+        return self._split((drift.slopes(count, p)[..., :n], spread.value(count)), slopes, n)
 
     def push(self, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
         """`Local.push`."""
@@ -227,30 +220,27 @@ class Forward:
         with np.errstate(all="ignore"):
             point = replace(self._point(k, condition, n, derivatives), bent=False)
             zero = point.seeded(np.zeros((len(k), n)))
-            added = point.dosed(zero, doses) if doses.shape[-1] else jet(np.zeros((len(k), n)))
             found = [point.drift(t, zero, u[:, 0])]
             if not self.local.steady:
                 middle = point.drift(t + 0.5 * h, zero, 0.5 * (u[:, 0] + u[:, -1]))
-                end, length = point.drift(t + h, zero, u[:, -1]), np.where(h > 0, h, 1.0)[:, None]
-                begin = found[0]
-                found += [(4 * middle - 3 * begin - end) / length, 2 * (begin - 2 * middle + end) / length**2]
-        shape = (len(k), n)
-        parts = [np.broadcast_to(part.value, shape) for part in (*found, added)]
+                end, length, begin = point.drift(t + h, zero, u[:, -1]), np.where(h > 0, h, 1.0), found[0]
+                found += [(middle * 4.0 - begin * 3.0 - end) / length, (begin - middle * 2.0 + end) * (2 / length**2)]
+            found.append(point.dosed(zero, doses) if doses.shape[-1] else Vector([0.0] * n))
         # What doses add does not depend on the state: its derivative there is that of the state itself.
-        slopes = [part.derivatives(shape, point.p) for part in (*found, added)] if derivatives else []
-        return self._split(tuple(parts), tuple(slopes), n)
+        slopes = tuple(part.slopes(len(k), point.p) for part in found) if derivatives else ()
+        return self._split(tuple(part.value(len(k)) for part in found), slopes, n)
 
 
-def _after(jump: Jet, parts: Arrays, slopes: Arrays, point: _Point) -> Evaluated:
+def _after(jump: Vector, found: tuple[Arrays, Arrays], point: _Point) -> Evaluated:
     """A sub-step after doses, by the coordinates before them."""
-    n, count = point.n, len(jump.value)
-    d_jump = jump.derivatives((count, n), point.p)
-    mean, a, q = parts
+    (mean, a, q), slopes = found
+    n, count = point.n, len(mean)
+    d_jump = jump.slopes(count, point.p)
     whole = (mean, a @ d_jump[..., :n], q)
     if not point.bent:
         return Evaluated(whole)
     d_mean, d_a, d_q = (_along(each, d_jump, n) for each in slopes)
-    d_whole = _product(a, d_jump[..., :n], d_a, jump.bends((count, n), n, point.p))
+    d_whole = _product(a, d_jump[..., :n], d_a, jump.bends(count, n, point.p))
     return Forward._split(whole, (d_mean, d_whole, d_q), n)
 
 

@@ -9,32 +9,27 @@ coordinates and all variables: what an extended Kalman filter and its gradient n
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
 from scipy import special
 
-from gbspec.arrays import Array, Mask
+from gbspec.arrays import Array
 
 Slopes: TypeAlias = Array | None
 """Derivatives; None where they are zero."""
 
 
 class Jet:
-    """Values [...], derivatives `first` [..., p] and, for n > 0, `second` [..., n, p]; None where these are zero."""
+    """Values [B], derivatives `first` [B, p] and, for n > 0, `second` [B, n, p]; None where these are zero."""
 
     __slots__ = ("first", "n", "second", "value")
     __array_ufunc__ = None
 
     def __init__(self, value: Any, first: Slopes = None, second: Slopes = None, n: int = 0) -> None:
         self.value, self.first, self.second, self.n = np.asarray(value), first, second, n
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the values."""
-        return self.value.shape
 
     def chained(self, value: Array, slope: Any, bend: Any) -> Jet:
         """A function of this with these values and its first and second derivative."""
@@ -114,31 +109,54 @@ class Jet:
     def __ge__(self, other: Any) -> Any:
         return self.value >= jet(other).value
 
-    def __getitem__(self, key: Any) -> Jet:
-        """Part of the values; the key has no `...` after which derivatives would be taken apart."""
-        key = key if isinstance(key, tuple) else (key,)
-        end = (slice(None),)
-        first = None if self.first is None else _wide(self.first, self.value.ndim, 1)[(*key, *end)]
-        second = None if self.second is None else _wide(self.second, self.value.ndim, 2)[(*key, *end, *end)]
-        return Jet(self.value[key], first, second, self.n)
 
-    def derivatives(self, shape: tuple[int, ...], p: int) -> Array:
-        """`first` in full."""
-        return np.zeros((*shape, p)) if self.first is None else np.broadcast_to(self.first, (*shape, p))
+class Vector(tuple[Any, ...]):
+    """Components, each a jet, an array [B] or a number, with the arithmetic that steps of a solver need."""
 
-    def bends(self, shape: tuple[int, ...], n: int, p: int) -> Array:
-        """`second` in full."""
-        return np.zeros((*shape, n, p)) if self.second is None else np.broadcast_to(self.second, (*shape, n, p))
+    __slots__ = ()
+    __array_ufunc__ = None
+
+    def __add__(self, other: Any) -> Vector:  # type: ignore[override]
+        return Vector(a + b for a, b in zip(self, other, strict=True))
+
+    def __sub__(self, other: Any) -> Vector:
+        return Vector(a - b for a, b in zip(self, other, strict=True))
+
+    def __mul__(self, factor: Any) -> Vector:  # type: ignore[override]
+        return Vector(a * factor for a in self)
+
+    __rmul__ = __mul__  # type: ignore[assignment]
+
+    def __truediv__(self, factor: Any) -> Vector:
+        return Vector(a / factor for a in self)
+
+    def value(self, count: int) -> Array:
+        """The values [B, m] at B = `count` points."""
+        out = np.empty((count, len(self)))
+        for i, part in enumerate(self):
+            out[:, i] = part.value if isinstance(part, Jet) else part
+        return out
+
+    def slopes(self, count: int, p: int) -> Array:
+        """The first derivatives [B, m, p]."""
+        out = np.zeros((count, len(self), p))
+        for i, part in enumerate(self):
+            if isinstance(part, Jet) and part.first is not None:
+                out[:, i] = part.first
+        return out
+
+    def bends(self, count: int, n: int, p: int) -> Array:
+        """The second derivatives [B, m, n, p]."""
+        out = np.zeros((count, len(self), n, p))
+        for i, part in enumerate(self):
+            if isinstance(part, Jet) and part.second is not None:
+                out[:, i] = part.second
+        return out
 
 
 def jet(value: Any) -> Jet:
     """A value as a jet."""
     return value if isinstance(value, Jet) else Jet(value)
-
-
-def _wide(table: Array, axes: int, more: int) -> Array:
-    """The table with as many leading axes as the values have."""
-    return table.reshape((1,) * (axes + more - table.ndim) + table.shape) if table.ndim < axes + more else table
 
 
 def _sum(a: Slopes, b: Slopes) -> Slopes:
@@ -247,80 +265,12 @@ def _angle(y: Any, x: Any) -> Any:
 
 
 def _unpack(x: Any) -> Any:
-    if isinstance(x, tuple):
-        return x
-    if not isinstance(x, Jet):
-        return tuple(np.moveaxis(x, -1, 0))
-    key = (slice(None),) * (x.value.ndim - 1)
-    return tuple(x[(*key, i)] for i in range(x.shape[-1]))
-
-
-def _assembled(like: Any, parts: Sequence[Any], put: Callable[[list[Array], int], Array]) -> Jet:
-    """Parts put together on their last axis, broadcast."""
-    whole = [jet(part) for part in parts]
-    shape = np.broadcast_shapes(*(w.shape for w in whole), like)
-    value = put([np.broadcast_to(w.value, np.broadcast_shapes(shape, w.shape)) for w in whole], 0)
-    n = max((w.n for w in whole), default=0)
-
-    def table(name: str, axes: int) -> Slopes:
-        found = [getattr(w, name) for w in whole]
-        ends = {f.shape[-axes:] for f in found if f is not None}
-        if not ends:
-            return None
-        end = max(ends)
-        zero = np.zeros((1,) * axes)
-        return put([np.broadcast_to(zero if f is None else f, (*shape, *end)) for f in found], axes)
-
-    return Jet(value, table("first", 1), table("second", 2) if n else None, n)
-
-
-def _pack(like: Any, parts: Sequence[Any]) -> Any:
-    if not parts:
-        return np.zeros((*like.shape[:-1], 0))
-    return _assembled(like.shape[:-1], parts, lambda tables, axes: np.stack(tables, -1 - axes))
-
-
-def _join(like: Any, *parts: Any) -> Any:
-    """Vectors one after the other: each is taken apart, which long vectors are too rare for to matter."""
-    pieces: list[Any] = []
-    for part in parts:
-        pieces += [part] if np.ndim(getattr(part, "value", part)) == 0 else _unpack(part)
-    return _pack(like, pieces)
-
-
-def _column(x: Any) -> Any:
-    if not isinstance(x, Jet):
-        return np.expand_dims(x, -1) if np.ndim(x) else x
-    first = None if x.first is None else np.expand_dims(x.first, -2)
-    second = None if x.second is None else np.expand_dims(x.second, -3)
-    return Jet(np.expand_dims(x.value, -1), first, second, x.n)
-
-
-def _total(x: Any) -> Any:
-    parts = _unpack(x)
-    return functools.reduce(lambda a, b: a + b, parts) if len(parts) else 0.0
-
-
-def _part(x: Any, *ends: int) -> Any:
-    key = slice(*ends) if len(ends) < 3 else list(range(*ends))
-    return x[(*(slice(None),) * (len(x.shape) - 1), key)]
-
-
-def _entry(x: Any, place: int) -> Any:
-    return x[(*(slice(None),) * (len(x.shape) - 1), place)]
-
-
-def _repeat(like: Any, x: Any, count: int) -> Any:
-    return _pack(like, [x] * count)
-
-
-def _indices(like: Any, *ends: int) -> Array:
-    return np.broadcast_to(np.arange(*ends, dtype=np.float64), (*like.shape[:-1], ends[1] - ends[0]))
+    return x if isinstance(x, tuple) else tuple(x.T)
 
 
 @functools.cache
 def jet_arithmetic() -> Any:
-    """The arithmetic, with the names of `backends/module/template/arithmetic.py`; for models without networks."""
+    """The arithmetic, with the names of `backends/module/template/arithmetic.py`; for models without networks and arrays."""
     return SimpleNamespace(
         **_UNARY,
         atan2=_angle,
@@ -332,21 +282,13 @@ def jet_arithmetic() -> Any:
         where=_where,
         guard=_guard,
         unpack=_unpack,
-        pack=_pack,
-        column=_column,
-        columns=lambda values: tuple(map(_column, values)),
-        fill=lambda like, x: np.broadcast_to(x, like.shape[:-1]),
-        ahead=lambda x, h, k: x + h * k,
-        part=_part,
-        entry=_entry,
-        total=_total,
-        join=_join,
-        repeat=_repeat,
-        indices=_indices,
+        pack=lambda like, parts: Vector(parts),
+        column=lambda x: x,
+        ahead=lambda x, h, k: x + k * h,
         pi=np.pi,
         inf=np.inf,
         nan=np.nan,
     )
 
 
-__all__ = ["Jet", "Mask", "jet", "jet_arithmetic"]
+__all__ = ["Jet", "Vector", "jet", "jet_arithmetic"]
