@@ -23,8 +23,13 @@ HERE = Path(__file__).with_suffix("")
 TRUTH = {
     "process": {"theta": 1.0, "mu": 1.0, "s": 0.5},
     "lotka_volterra": {"a": 1.0, "b": 0.5, "c": 1.0, "d": 0.3, "sx": 0.1, "sy": 0.1},
+    "friction_oscillator": {"k": 4.0, "dry": 0.6, "viscous": 0.15, "s": 0.3},
 }
-DESIGN = {"process": (200.0, 0.5, 0.1), "lotka_volterra": (30.0, 0.5, 0.05)}
+DESIGN = {
+    "process": (200.0, 0.5, 0.1),
+    "lotka_volterra": (30.0, 0.5, 0.05),
+    "friction_oscillator": (120.0, 0.25, 0.05),
+}
 """Span, interval and noise of a set: that of `process` lasts 200 relaxation times."""
 ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_aperture")
 FIELDS = ("model", "set", "constant", "truth", "value", "sd", "low", "high", "seconds")
