@@ -135,10 +135,16 @@ class Forward:
         t, h, u = data
         ops, equations = jet_arithmetic(), self.local.problem.module.equations
         nodes, n, p, count = tuple(u[:, i] for i in range(u.shape[1])), z.shape[1], point.p, len(z)
-        seed = point.seeded(z)
-        end = equations.step(ops, point.drift, equations.grid(ops, t, h), seed, nodes)
+        slopes: list[Vector] = []
+
+        def drift(*at: Any) -> Vector:
+            slopes.append(point.drift(*at))
+            return slopes[-1]
+
+        # The first one that a step of any explicit method takes is that at its start.
+        end = equations.step(ops, drift, equations.grid(ops, t, h), point.seeded(z), nodes)
         mean = end.value(count)
-        first, last = point.drift(t, seed, nodes[0]), point.drift(t + h, point.seeded(mean), nodes[-1])
+        first, last = slopes[0], point.drift(t + h, point.seeded(mean), nodes[-1])
         d_end = end.slopes(count, p)
         a, f, g = d_end[..., :n], first.slopes(count, p)[..., :n], last.slopes(count, p)[..., :n]
         size = h[:, None, None]

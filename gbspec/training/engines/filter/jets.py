@@ -58,13 +58,17 @@ class Jet:
         return Jet(-self.value, _negative(self.first), _negative(self.second), self.n)
 
     def __sub__(self, other: Any) -> Jet:
-        return self + (-jet(other) if isinstance(other, Jet) else -np.asarray(other))
+        if not isinstance(other, Jet):
+            return Jet(self.value - other, self.first, self.second, self.n)
+        return self + (-other)
 
     def __rsub__(self, other: Any) -> Jet:
         return (-self) + other
 
     def __mul__(self, other: Any) -> Jet:
-        other = jet(other)
+        if not isinstance(other, Jet):
+            by = np.asarray(other)
+            return Jet(self.value * by, _scaled(self.first, by, 1), _scaled(self.second, by, 2), self.n)
         value, n = self.value * other.value, max(self.n, other.n)
         first = _sum(_scaled(self.first, other.value, 1), _scaled(other.first, self.value, 1))
         if not n:
@@ -81,10 +85,15 @@ class Jet:
     def __truediv__(self, other: Any) -> Jet:
         if not isinstance(other, Jet):
             return self * (1 / np.asarray(other))
-        return self * (other**-1)
+        return self * other.reciprocal()
 
     def __rtruediv__(self, other: Any) -> Jet:
-        return other * (self**-1)
+        return self.reciprocal() * other
+
+    def reciprocal(self) -> Jet:
+        """1 over this."""
+        value = 1 / self.value
+        return self.chained(value, -(value**2), 2 * value**3 if self.n else 0.0)
 
     def __pow__(self, exponent: Any) -> Jet:
         if isinstance(exponent, Jet):
