@@ -11,6 +11,7 @@ on the held-out data. `--figures` also fits all of the data and draws measuremen
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,17 @@ KNOWN = "hare_lynx with Lotka's and Volterra's term"
 LOTKA_VOLTERRA = {
     "unknown eaten(hare) = 0.03*hare*nn by mlp(8, 8)": "learn b = 0.03 in [0.001, 1]\nlet eaten = b*hare",
     "eaten(hare)*lynx": "eaten*lynx",
+}
+DISTURBED_PELTS = {
+    "observe hare\nobserve lynx": "learn sh = 0.2 in [0, 2]\nlearn sl = 0.2 in [0, 2]\n"
+    "diffusion hare = sh*hare\ndiffusion lynx = sl*lynx\n"
+    "observe hare noise lognormal(0.1)\nobserve lynx noise lognormal(0.1)"
+}
+DISTURBED_CHEMOSTAT = {
+    "observe algae\nobserve rotifers": "learn sa = 0.1 in [0, 2]\nlearn sr = 0.1 in [0, 2]\nlearn se = 0.1 in [0, 2]\n"
+    "diffusion algae = sa*algae\ndiffusion rotifers = sr*rotifers\ndiffusion edible = se*edible*(1 - edible)\n"
+    "observe algae noise lognormal(0.1)\nobserve rotifers noise lognormal(0.1)",
+    "initial algae learn\ninitial rotifers learn\n\n": "",
 }
 
 
@@ -42,8 +54,11 @@ class Part:
 PARTS = {
     "hare_lynx": Part("hare_lynx", "time", 5),
     KNOWN: Part("hare_lynx", "time", 5, replaced=LOTKA_VOLTERRA),
+    "hare_lynx disturbed": Part("hare_lynx", "time", 5, replaced=DISTURBED_PELTS),
+    f"{KNOWN} disturbed": Part("hare_lynx", "time", 5, replaced=LOTKA_VOLTERRA | DISTURBED_PELTS),
     "theophylline": Part("theophylline", "trajectories", window=5),
     "algae_rotifers": Part("algae_rotifers", "time", 5),
+    "algae_rotifers disturbed": Part("algae_rotifers", "time", 5, replaced=DISTURBED_CHEMOSTAT),
 }
 
 
@@ -71,7 +86,7 @@ def judged(name: str, data: Path, out: Path, options: TrainOptions) -> CrossVali
     model = model_of(part)
     table = tables.read_data(data / f"{part.model}.csv", model, Findings())
     division = CrossOptions(part.folds, part.over, part.window)  # type: ignore[arg-type]  # a literal from a table
-    return crossvalidate(model, table, out / name.split()[-1], options, division, lambda fold: Silent())
+    return crossvalidate(model, table, out / re.sub(r"\W+", "_", name), options, division, lambda fold: Silent())
 
 
 def rows_of(name: str, found: CrossValidation) -> list[str]:

@@ -63,8 +63,11 @@ def held_out(run: Run, fold: Fold, window: int | None) -> list[Point]:
 
     For folds of trajectories, initial states and per-trajectory constants are estimated from the first rows (`window`)
     of each trajectory, which are then excluded from the errors. For folds over time, the trajectory is solved from the
-    initial state that was learned from all its other rows, before and after the block.
+    initial state that was learned from all its other rows, before and after the block; where states are disturbed,
+    predictions are what these other rows say of the block (smoothed), or of the rows after the window.
     """
+    if run.model.diffusions:
+        return _disturbed(run, fold, window)
     return _trajectories(run, fold, window) if fold.over == "trajectories" else _stretches(run, fold)
 
 
@@ -94,6 +97,30 @@ def _stretches(run: Run, fold: Fold) -> list[Point]:
         found = (item.label, item.times, fold.whole.channels, item.values, mean, sd)
         points += _points(*found, rows, logarithmic(run.model))
     return points
+
+
+def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
+    from gbspec.training import filter_run
+
+    if fold.over == "trajectories":
+        used = filter_run(run, fold.whole, run.best, window)
+        held = [_later(item.values, window) for item in fold.whole.items]
+    else:
+        held = list(fold.held)
+        used = filter_run(run, fold.whole, run.best, hidden=held)
+    points = []
+    for item, one, mask in zip(fold.whole.items, used.smoothed(), held, strict=True):
+        rows = item.times >= item.start
+        sd = np.where(one.log_channels, one.channel_sd * np.abs(one.channels), one.channel_sd)
+        found = (item.label, item.times[rows], fold.whole.channels, item.values[rows], one.channels, sd)
+        points += _points(*found, mask[rows], logarithmic(run.model))
+    return points
+
+
+def _later(values: Array, window: int | None) -> Mask:
+    """The rows of a trajectory that follow the first `window` measured ones."""
+    some = np.isfinite(values).any(axis=1).astype(np.int64)
+    return np.asarray(np.cumsum(some) - some >= (1 if window is None else window), dtype=np.bool_)
 
 
 def _points(

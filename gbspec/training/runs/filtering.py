@@ -65,7 +65,7 @@ class FilteredRun:
 
     def smoothed(self) -> list[Smoothed]:
         """States and channels at the rows of each trajectory as all used measurements show them."""
-        engine, (mean, cov, *_) = self.engine, filter.smoothed(self.found, self.engine.legs)
+        engine, (mean, cov, *_) = self.engine, filter.iterated(self.engine, self.vector, self.found)
         ends = np.flatnonzero(engine.legs.row >= 0)
         rows, n = engine.legs.row[ends], mean.shape[1]
         z = np.zeros((engine.problem.packed.rows, n))
@@ -101,15 +101,32 @@ class FilteredRun:
         return [table[rows] for rows in self._rows]
 
 
-def filter_run(run: Run, trajectories: Trajectories, member: int, window: int | None = None) -> FilteredRun:
-    """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used."""
+def filter_run(
+    run: Run,
+    trajectories: Trajectories,
+    member: int,
+    window: int | None = None,
+    hidden: Sequence[Mask] | None = None,
+) -> FilteredRun:
+    """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used, and
+    none that are `hidden` (for each trajectory a mask of its rows)."""
     instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
     step = run.step(member)
     options = TrainOptions(backend="torch", device="cpu", max_step=step, solver=run.fit.solver)
     context = build_context(run.model, run.module, trajectories, options, 0)
     context.module = instance
     fixed = {k: v for k, v in instance.weights.items() if k.endswith(("_center", "_scale"))}
-    starts, constants = _known(run, instance.weights, _marks(instance), trajectories, context.start_value)
+    guess = context.start_value
+    if hidden is not None:
+        shown = Trajectories(
+            tuple(
+                replace(item, values=np.where(mask[:, None], np.nan, item.values))
+                for item, mask in zip(trajectories.items, hidden, strict=True)
+            ),
+            trajectories.channels,
+        )
+        guess = build_context(run.model, run.module, shown, options, 0).start_value
+    starts, constants = _known(run, instance.weights, _marks(instance), trajectories, guess)
     parameters = replace(context.parameters(fixed), start_value=starts)
     engine = FilterEngine.of(context.problem(0.0), parameters)
     noise = {} if record.likelihood is None else record.likelihood.noise
@@ -122,6 +139,13 @@ def filter_run(run: Run, trajectories: Trajectories, member: int, window: int | 
     if window is not None:
         early = _measured_place(engine) < int(window)
         seen = seen & early.reshape(-1, 1)
+    if hidden is not None:
+        masks = [mask[item.times >= item.start] for item, mask in zip(trajectories.items, hidden, strict=True)]
+        packed = engine.problem.packed
+        seen = seen.copy()
+        for i, mask in enumerate(masks):
+            rows = np.flatnonzero(packed.row_trajectory == i)
+            seen[rows[np.argsort(packed.row_index[rows])][mask]] = False
     return FilteredRun(engine, vector, engine.filtered(vector, seen=seen))
 
 

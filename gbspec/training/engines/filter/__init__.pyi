@@ -7,4 +7,5 @@ from .residual_tests import Whiteness as Whiteness
 from .residual_tests import whiteness as whiteness
 from .result import Filtered as Filtered
 from .result import Information as Information
+from .smoother import iterated as iterated
 from .smoother import smoothed as smoothed

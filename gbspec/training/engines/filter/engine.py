@@ -60,11 +60,12 @@ class FilterEngine:
     @classmethod
     def of(cls, problem: Problem, parameters: Parameters) -> FilterEngine:
         """The engine with the default variances: those of states whose starts are neither given nor learned are
-        `SPREAD` times their typical size, squared."""
+        `SPREAD` times their typical size, squared, and those of logarithms at least `SPREAD` squared."""
         kinds = np.array([state.initial.kind for state in problem.model.states])
         free = np.where(kinds == "learned", 1.0, 0.0) * np.ones_like(parameters.start_free)
         unknown = np.where(kinds == "measured", 1.0, 0.0)
-        variance = np.broadcast_to(unknown * (SPREAD * parameters.start_scale) ** 2, free.shape)
+        own = np.where(relative_states(problem.model), np.abs(parameters.start_value), 0.0)
+        variance = unknown * (SPREAD * np.maximum(parameters.start_scale, own)) ** 2 * np.ones_like(free)
         return cls(problem, replace(parameters, start_free=free), variance)
 
     # ---------------------------------------------------------------- what does not depend on the vector
@@ -189,6 +190,11 @@ class FilterEngine:
         theta, log_sd = self.layout.split(vector)
         return _Search(self, At.of(self.layout, theta), log_sd, seen, guess).run()
 
+    def linearised(self, vector: Array, means: Means, seen: Mask) -> Filtered:
+        """The filter of the model that is linear around given means at the starts and ends of legs."""
+        theta, log_sd = self.layout.split(vector)
+        return _Search(self, At.of(self.layout, theta), log_sd, seen, means).once()
+
     def value(self, vector: Array) -> float:
         """The negative log likelihood; infinite where the solution is not finite."""
         return self.filtered(vector).value
@@ -292,6 +298,12 @@ class _Search:
                 window = WINDOW
         found.finish(self.seen)
         return found
+
+    def once(self) -> Filtered:
+        """The moments with everything linearised at the guess."""
+        self._pass(0, self.legs.places)
+        self.found.finish(self.seen)
+        return self.found
 
     def _pass(self, begin: int, end: int) -> int:
         """One pass over the places from `begin` to `end`; the first place whose guess was not exact."""

@@ -114,7 +114,8 @@ class Forward:
         for s in range(t.shape[1]):
             starts.append(z)
             z, step, more = self._stepped(z, k, (t[:, s], h[:, s], u[:, s], doses[:, s], condition), False).parts
-            a, q = step @ a, step @ q @ step.transpose(0, 2, 1) + more
+            with np.errstate(all="ignore"):
+                a, q = step @ a, step @ q @ step.transpose(0, 2, 1) + more
         return (z, a, q), np.stack(starts, 1)
 
     def step(self, z: Array, k: Array, data: Arrays) -> Evaluated:

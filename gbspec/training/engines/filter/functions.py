@@ -66,7 +66,7 @@ class Functions:
 
 def tensors(data: Arrays) -> Parts:
     """Arrays as tensors."""
-    return tuple(torch.from_numpy(np.ascontiguousarray(part)) for part in data)
+    return tuple(torch.from_numpy(np.require(part, requirements=["C", "W"])) for part in data)
 
 
 def _by_torch(
