@@ -18,6 +18,9 @@ from gbspec.studies.folds import Fold
 if TYPE_CHECKING:
     from gbspec.runs import Run
 
+DRAWS = 24
+"""Parameter vectors that show the uncertainty of a disturbed model's fit."""
+
 
 @dataclass(frozen=True)
 class Point:
@@ -109,7 +112,7 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
         held = list(fold.held)
         used = filter_run(run, fold.whole, run.best, hidden=held)
     points = []
-    for item, one, mask in zip(fold.whole.items, used.smoothed(), held, strict=True):
+    for item, one, mask in zip(fold.whole.items, used.smoothed(DRAWS), held, strict=True):
         rows = item.times >= item.start
         sd = np.where(one.log_channels, one.channel_sd * np.abs(one.channels), one.channel_sd)
         found = (item.label, item.times[rows], fold.whole.channels, item.values[rows], one.channels, sd)

@@ -63,25 +63,38 @@ class FilteredRun:
         """The tests of a channel's innovations."""
         return whiteness(self.standardised(channel)) if self.finite else None
 
-    def smoothed(self) -> list[Smoothed]:
-        """States and channels at the rows of each trajectory as all used measurements show them."""
-        engine, (mean, cov, *_) = self.engine, filter.iterated(self.engine, self.vector, self.found)
+    def smoothed(self, draws: int = 0) -> list[Smoothed]:
+        """States and channels at the rows of each trajectory as all used measurements show them. The standard
+        deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
+        engine, log, log_y = self.engine, self.engine.coordinates.log, self.engine.noise.log
+        z, p, y, variance = self._path(self.vector, self.found)
+        variances = np.diagonal(p, axis1=1, axis2=2), variance
+        if draws and self.finite:
+            seen = self.found.seen
+            found = [(each, engine.filtered(each, seen)) for each in engine.draws(self.vector, self.found, draws)]
+            paths = [self._path(each, one)[0::2] for each, one in found if one.finite]
+            if len(paths) > 1:
+                between = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
+                variances = tuple(own + more for own, more in zip(variances, between, strict=True))
+        sd, spread = (np.sqrt(np.maximum(each, 0.0)) for each in variances)
+        states, channels = engine.coordinates.states(z), np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y)
+        return [Smoothed(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
+
+    def _path(self, vector: Array, found: Filtered) -> tuple[Array, Array, Array, Array]:
+        """Smoothed coordinates [R, n] at the rows with their covariances, and predicted channels [R, C] with the
+        variances of new measurements, at a vector."""
+        engine, (mean, cov, *_) = self.engine, filter.iterated(self.engine, vector, found)
         ends = np.flatnonzero(engine.legs.row >= 0)
         rows, n = engine.legs.row[ends], mean.shape[1]
         z = np.zeros((engine.problem.packed.rows, n))
         p = np.zeros((len(z), n, n))
         z[rows], p[rows] = mean[ends], cov[ends]
-        y, variance = self._read(z, p)
-        states = engine.coordinates.states(z)
-        sd = np.sqrt(np.maximum(np.diagonal(p, axis1=1, axis2=2), 0.0))
-        log, log_y = engine.coordinates.log, engine.noise.log
-        channels, spread = np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y), np.sqrt(variance)
-        return [Smoothed(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
+        return z, p, *self._read(vector, z, p)
 
-    def _read(self, z: Array, p: Array) -> tuple[Array, Array]:
+    def _read(self, vector: Array, z: Array, p: Array) -> tuple[Array, Array]:
         """Predicted channels [R, C] and the variances of new measurements."""
 
-        theta, log_sd = self.engine.layout.split(self.vector)
+        theta, log_sd = self.engine.layout.split(vector)
         at, every = filter.At.of(self.engine.layout, theta), np.arange(len(z), dtype=np.int64)
         reading = self.engine.readings(at, log_sd, every, z)
         own = self.engine.noise.variances(log_sd)
@@ -116,16 +129,7 @@ def filter_run(
     context = build_context(run.model, run.module, trajectories, options, 0)
     context.module = instance
     fixed = {k: v for k, v in instance.weights.items() if k.endswith(("_center", "_scale"))}
-    guess = context.start_value
-    if hidden is not None:
-        shown = Trajectories(
-            tuple(
-                replace(item, values=np.where(mask[:, None], np.nan, item.values))
-                for item, mask in zip(trajectories.items, hidden, strict=True)
-            ),
-            trajectories.channels,
-        )
-        guess = build_context(run.model, run.module, shown, options, 0).start_value
+    guess = context.start_value if hidden is None else _middles(run, trajectories, hidden, context.start_value)
     starts, constants = _known(run, instance.weights, _marks(instance), trajectories, guess)
     parameters = replace(context.parameters(fixed), start_value=starts)
     engine = FilterEngine.of(context.problem(0.0), parameters)
@@ -147,6 +151,18 @@ def filter_run(
             rows = np.flatnonzero(packed.row_trajectory == i)
             seen[rows[np.argsort(packed.row_index[rows])][mask]] = False
     return FilteredRun(engine, vector, engine.filtered(vector, seen=seen))
+
+
+def _middles(run: Run, trajectories: Trajectories, hidden: Sequence[Mask], start: Array) -> Array:
+    """Guesses of the starts [N, n] without what is hidden: of a measured state whose first row is hidden, the median of
+    the other values, around which there is a wide prior."""
+    out = start.copy()
+    for i, (item, mask) in enumerate(zip(trajectories.items, hidden, strict=True)):
+        for j, channel in enumerate(run.model.channels):
+            values = item.values[~mask & np.isfinite(item.values[:, j]), j]
+            if channel.state is not None and mask[:1].any() and len(values):
+                out[i, channel.state] = np.median(values)
+    return out
 
 
 def _marks(instance: GeneratedModule) -> Sequence[object]:

@@ -39,6 +39,8 @@ TOLERANCE = 1e-11
 PASSES, WINDOW = 25, 16
 """After this many passes over all rows the rest is done in windows of this many places, which cannot take longer than
 one place after the other."""
+NOTHING = 1e-7
+"""Information of an entry below which the data say nothing of it."""
 CHUNK = 192 * 1024**2
 """Approximate size in bytes of the derivatives that are kept at a time."""
 
@@ -225,6 +227,24 @@ class FilterEngine:
         scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
         inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True)
         return np.where(size > 0, scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.nan)
+
+    def draws(self, vector: Array, found: Filtered, count: int) -> Array:
+        """Vectors [count, size] that the data may have come from as well: normal, with the inverse of the information as
+        covariance, weights with the precision of their prior (their number over their squares). What the data say
+        nothing of stays."""
+        matrix, weights = self.information(vector, found).matrix, vector[: self.parameters.n_weights]
+        known = (np.diag(matrix) > NOTHING) & (self.layout.free > 0)
+        if len(weights):
+            places = np.arange(len(weights))
+            matrix[places, places] += len(weights) / max(float(weights @ weights), 1e-12)
+        block = matrix[np.ix_(known, known)]
+        scale = 1 / np.sqrt(np.diag(block))
+        values, axes = np.linalg.eigh(block * np.outer(scale, scale))
+        roots = np.where(values > 1e-10, 1 / np.sqrt(np.maximum(values, 1e-10)), 0.0)
+        normal = np.random.default_rng(0).standard_normal((count, int(known.sum())))
+        out = np.tile(vector, (count, 1))
+        out[:, known] += scale * ((normal * roots) @ axes.T)
+        return out
 
     def standardised(self, found: Filtered, channel: int) -> list[Array]:
         """A channel's errors in standard deviations, in the order of time, for each trajectory."""
