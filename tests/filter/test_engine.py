@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 from gbspec.arrays import Array
 from gbspec.training.engines import FilterEngine
-from gbspec.training.engines.filter.smoother import smoothed
+from gbspec.training.engines.filter.smoother import iterated, smoothed
 from tests.filter.conftest import BENT, LINEAR, WITH_NETWORK, engine_of, table
 
 
@@ -131,6 +131,17 @@ def test_smoothed_means_maximise_the_joint_density(tmp_path: Path) -> None:
     whole = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0].reshape(-1, n)
     assert np.allclose(mean, whole[1:], atol=1e-5)
     assert np.allclose(start[0], whole[0], atol=1e-5)
+
+
+def test_the_iterated_smoother_rests_where_its_linearisation_is(tmp_path: Path) -> None:
+    engine, vector = engine_of(tmp_path, BENT, table("X V y", rows=12))
+    seen = engine.problem.valued.copy()
+    seen[3:8] = False
+    found = engine.filtered(vector, seen)
+    mean, _, start, _ = iterated(engine, vector, found)
+    again = smoothed(engine.linearised(vector, (start, mean), seen), engine.legs)[0]
+    assert np.abs(again - mean).max() < 1e-3 * engine.scale.max()
+    assert np.abs(mean - smoothed(found, engine.legs)[0]).max() > 1e-3
 
 
 @pytest.mark.parametrize("drift", ["-k*x", "-k*x^2"], ids=["exact", "stepped"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import Model
 from gbspec.operations import analysing, fitting, models
 from gbspec.runs import Run, open_run
-from gbspec.training import TrainOptions, train
+from gbspec.training import TrainOptions, filter_run, train
 from gbspec.training.engines import whiteness
 
 PROCESS = """model process
@@ -95,7 +96,6 @@ def test_the_same_seed_gives_the_same_fit_and_an_interrupted_one_goes_on(
 
     with pytest.raises(KeyboardInterrupt):
         train(run.model, data, FAST, tmp_path / "again", Stop())
-    from dataclasses import replace
 
     resumed = train(run.model, data, replace(FAST, resume=True), tmp_path / "again")
     assert {k: v.value for k, v in resumed.fit.constants.items()} == {k: v.value for k, v in run.fit.constants.items()}
@@ -125,6 +125,22 @@ def test_predictions_are_smoothed_states_with_bands_that_widen_after_the_window(
     noise = run.fit.noise["X"] or 0.0
     sd = np.sqrt(constants["s"].value ** 2 / (2 * constants["theta"].value) + noise**2)
     assert width[-1] == pytest.approx(2 * 1.645 * sd, rel=1e-2)
+
+
+def test_what_is_hidden_is_not_used(fitted: tuple[Run, Trajectories]) -> None:
+    run, data = fitted
+    hidden, found = np.zeros(len(data.items[0].times), dtype=bool), []
+    hidden[:6] = hidden[40:50] = True
+    for number in (99.0, 55.0):
+        values = np.where(hidden[:, None], number, data.items[0].values)
+        changed = replace(data, items=(replace(data.items[0], values=values),))
+        found.append(filter_run(run, changed, 0, hidden=[hidden]).smoothed(draws=4)[0])
+    assert np.allclose(found[0].channels, found[1].channels, rtol=1e-9)
+    assert np.allclose(found[0].channel_sd, found[1].channel_sd, rtol=1e-9)
+    plain = filter_run(run, changed, 0, hidden=[hidden]).smoothed()[0]
+    assert (found[1].channel_sd >= plain.channel_sd).all()
+    inside = np.abs(data.items[0].values[hidden] - found[0].channels[hidden]) < 3 * found[0].channel_sd[hidden]
+    assert inside.all()
 
 
 def test_profiles_are_refused(fitted: tuple[Run, Trajectories]) -> None:

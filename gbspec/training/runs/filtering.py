@@ -129,9 +129,13 @@ def filter_run(
     context = build_context(run.model, run.module, trajectories, options, 0)
     context.module = instance
     fixed = {k: v for k, v in instance.weights.items() if k.endswith(("_center", "_scale"))}
-    guess = context.start_value if hidden is None else _middles(run, trajectories, hidden, context.start_value)
+    shown, guess = context, context.start_value
+    if hidden is not None:
+        visible = _without(trajectories, hidden)
+        shown = build_context(run.model, run.module, visible, options, 0)
+        guess = _middles(run, visible, hidden, guess)
     starts, constants = _known(run, instance.weights, _marks(instance), trajectories, guess)
-    parameters = replace(context.parameters(fixed), start_value=starts)
+    parameters = replace(shown.parameters(fixed), start_value=starts)
     engine = FilterEngine.of(context.problem(0.0), parameters)
     noise = {} if record.likelihood is None else record.likelihood.noise
     log_sd, channels = engine.noise.first(), run.model.channels
@@ -153,13 +157,20 @@ def filter_run(
     return FilteredRun(engine, vector, engine.filtered(vector, seen=seen))
 
 
-def _middles(run: Run, trajectories: Trajectories, hidden: Sequence[Mask], start: Array) -> Array:
-    """Guesses of the starts [N, n] without what is hidden: of a measured state whose first row is hidden, the median of
-    the other values, around which there is a wide prior."""
+def _without(trajectories: Trajectories, hidden: Sequence[Mask]) -> Trajectories:
+    """The trajectories without the values of hidden rows."""
+    pairs = zip(trajectories.items, hidden, strict=True)
+    items = (replace(item, values=np.where(mask[:, None], np.nan, item.values)) for item, mask in pairs)
+    return replace(trajectories, items=tuple(items))
+
+
+def _middles(run: Run, visible: Trajectories, hidden: Sequence[Mask], start: Array) -> Array:
+    """Guesses of the starts [N, n]: of a measured state whose first row is hidden, the median of the other values,
+    around which there is a wide prior."""
     out = start.copy()
-    for i, (item, mask) in enumerate(zip(trajectories.items, hidden, strict=True)):
+    for i, (item, mask) in enumerate(zip(visible.items, hidden, strict=True)):
         for j, channel in enumerate(run.model.channels):
-            values = item.values[~mask & np.isfinite(item.values[:, j]), j]
+            values = item.values[np.isfinite(item.values[:, j]), j]
             if channel.state is not None and mask[:1].any() and len(values):
                 out[i, channel.state] = np.median(values)
     return out

@@ -29,9 +29,7 @@ POINTERS = (
 
 
 class _Sweep(ctypes.Structure):
-    _fields_ = tuple(
-        [(name, ctypes.c_int64) for name in SIZES] + [(name, ctypes.c_void_p) for name in POINTERS]
-    )
+    _fields_ = tuple([(name, ctypes.c_int64) for name in SIZES] + [(name, ctypes.c_void_p) for name in POINTERS])
 
 
 @cache

@@ -17,9 +17,9 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.ir import linear_in_states
 from gbspec.training.engines.deliveries import Paths
+from gbspec.training.engines.filter.compiled import Advance, advance
 from gbspec.training.engines.filter.composed import whole_legs
 from gbspec.training.engines.filter.coordinates import Coordinates, relative_states
-from gbspec.training.engines.filter.compiled import Advance, advance
 from gbspec.training.engines.filter.exact import Exact
 from gbspec.training.engines.filter.forward import Forward, covers
 from gbspec.training.engines.filter.functions import Functions
@@ -184,9 +184,7 @@ class FilterEngine:
         return Moment(m, p, dm, dp)
 
     # ---------------------------------------------------------------- the filter
-    def filtered(
-        self, vector: Array, seen: Mask | None = None, guess: Means | None = None
-    ) -> Filtered:
+    def filtered(self, vector: Array, seen: Mask | None = None, guess: Means | None = None) -> Filtered:
         """The filter at a vector; with `seen` [R, C] only these measurements update the moments. `guess` are the means
         at the starts and ends of legs for a vector nearby, which saves time."""
         theta, log_sd = self.layout.split(vector)
@@ -215,6 +213,7 @@ class FilterEngine:
             flows = self.flows(at, index, found.start_mean[index], True)
             rows, place = _rows_of(legs, index)
             readings = self.readings(at, log_sd, rows, found.end_mean[index[place >= 0]], True)
+            readings = replace(readings, seen=found.seen[rows])
             innovations = self.advance(moment, legs.owner[index], flows, readings, place, None)
             sums.add(self.problem.packed.row_trajectory[rows], innovations, readings.seen)
         return sums.information(found.value)
@@ -229,8 +228,8 @@ class FilterEngine:
         return np.where(size > 0, scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.nan)
 
     def draws(self, vector: Array, found: Filtered, count: int) -> Array:
-        """Vectors [count, size] that the data may have come from as well: normal, with the inverse of the information as
-        covariance, weights with the precision of their prior (their number over their squares). What the data say
+        """Vectors [count, size] that the data may have come from as well: normal, with the inverse of the information
+        as covariance, weights with the precision of their prior (their number over their squares). What the data say
         nothing of stays."""
         matrix, weights = self.information(vector, found).matrix, vector[: self.parameters.n_weights]
         known = (np.diag(matrix) > NOTHING) & (self.layout.free > 0)

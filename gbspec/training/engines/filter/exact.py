@@ -109,7 +109,9 @@ def _flow(factors: Arrays, slopes: list[Array], h: Array, orders: int) -> list[_
     active = np.flatnonzero((df != 0).any(axis=(0, 1, 2)) | (ds != 0).any(axis=(0, 1)))
     f = _Matrices(f_value, np.moveaxis(df[..., active], -1, 0))
     one = np.eye(n)
-    d = _Matrices(spread[:, :, None] ** 2 * one, np.moveaxis(2 * spread[..., None] * ds[..., active], -1, 0)[..., None] * one)
+    d = _Matrices(
+        spread[:, :, None] ** 2 * one, np.moveaxis(2 * spread[..., None] * ds[..., active], -1, 0)[..., None] * one
+    )
     zero = _Matrices(np.zeros((groups, n, n)), np.zeros((len(active), groups, n, n)))
     doublings = _needed(f_value, h)
     s = (h / 2.0**doublings)[:, None, None]

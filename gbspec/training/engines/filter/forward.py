@@ -68,9 +68,7 @@ class _Point:
         if self.local.coordinates.plain:
             return rate
         sizes = self.spread(x, u)
-        return Vector(
-            rate[i] / x[i] - 0.5 * (sizes[i] * sizes[i]) if log[i] else rate[i] for i in range(len(rate))
-        )
+        return Vector(rate[i] / x[i] - 0.5 * (sizes[i] * sizes[i]) if log[i] else rate[i] for i in range(len(rate)))
 
     def dosed(self, z: Vector, amounts: Array) -> Vector:
         """The coordinates after doses [B, kinds]."""
@@ -164,7 +162,9 @@ class Forward:
         d_middle = 0.5 * da + 0.125 * size[..., None] * (dg - _product(a, f, da, df))
         one = np.broadcast_to(np.eye(n, p), (count, n, p))
         dq = np.zeros((count, n, n, p))
-        moves = zip(weights, x, factors, (da, d_middle, None), spreads, sizes, (one, 0.5 * (one + d_end), d_end), strict=True)
+        moves = zip(
+            weights, x, factors, (da, d_middle, None), spreads, sizes, (one, 0.5 * (one + d_end), d_end), strict=True
+        )
         for w, each, factor, d_factor, spread, s, d_place in moves:
             dx = factor[..., None] * _along(spread.slopes(count, p), d_place, n)[:, None]
             if d_factor is not None:
@@ -264,4 +264,3 @@ def _product(a: Array, b: Array, da: Array, db: Array) -> Array:
     left = np.matmul(b.transpose(0, 2, 1)[:, None], da)
     right = np.matmul(a, db.reshape(*db.shape[:2], -1)).reshape(da.shape)
     return np.asarray(left + right)
-

@@ -16,8 +16,8 @@ from gbspec.training.engines.filter.local import Arrays, Evaluated, Local, Parts
 
 @dataclass(frozen=True)
 class Functions:
-    """The functions at B points with coordinates `z` [B, n], constants `k` [B, k] and the weights `w`; `forward` is None
-    for models that need torch."""
+    """The functions at B points with coordinates `z` [B, n], constants `k` [B, k] and the weights `w`; `forward` is
+    None for models that need torch."""
 
     local: Local
     forward: Forward | None

@@ -60,10 +60,10 @@ class Jet:
     def __sub__(self, other: Any) -> Jet:
         if not isinstance(other, Jet):
             return Jet(self.value - other, self.first, self.second, self.n)
-        return self + (-other)
+        return self.__add__(-other)
 
     def __rsub__(self, other: Any) -> Jet:
-        return (-self) + other
+        return (-self).__add__(other)
 
     def __mul__(self, other: Any) -> Jet:
         if not isinstance(other, Jet):
@@ -88,7 +88,7 @@ class Jet:
         return self * other.reciprocal()
 
     def __rtruediv__(self, other: Any) -> Jet:
-        return self.reciprocal() * other
+        return self.reciprocal().__mul__(other)
 
     def reciprocal(self) -> Jet:
         """1 over this."""
@@ -97,14 +97,16 @@ class Jet:
 
     def __pow__(self, exponent: Any) -> Jet:
         if isinstance(exponent, Jet):
-            return exp(exponent * log(self)) if exponent.first is not None else self**exponent.value
+            found: Jet = exp(exponent * log(self)) if exponent.first is not None else self**exponent.value
+            return found
         e, x = np.asarray(exponent, dtype=np.float64), self.value
         slope = np.where(e == 0, 0.0, e * x ** np.where(e == 0, 1.0, e - 1))
         flat = (e == 0) | (e == 1)
         return self.chained(x**e, slope, np.where(flat, 0.0, e * (e - 1) * x ** np.where(flat, 1.0, e - 2)))
 
     def __rpow__(self, base: Any) -> Jet:
-        return exp(self * np.log(base))
+        found: Jet = exp(self * np.log(base))
+        return found
 
     def __lt__(self, other: Any) -> Any:
         return self.value < jet(other).value
@@ -125,16 +127,16 @@ class Vector(tuple[Any, ...]):
     __slots__ = ()
     __array_ufunc__ = None
 
-    def __add__(self, other: Any) -> Vector:  # type: ignore[override]
+    def __add__(self, other: Any) -> Vector:
         return Vector(a + b for a, b in zip(self, other, strict=True))
 
     def __sub__(self, other: Any) -> Vector:
         return Vector(a - b for a, b in zip(self, other, strict=True))
 
-    def __mul__(self, factor: Any) -> Vector:  # type: ignore[override]
+    def __mul__(self, factor: Any) -> Vector:
         return Vector(a * factor for a in self)
 
-    __rmul__ = __mul__  # type: ignore[assignment]
+    __rmul__ = __mul__
 
     def __truediv__(self, factor: Any) -> Vector:
         return Vector(a / factor for a in self)
@@ -279,7 +281,7 @@ def _unpack(x: Any) -> Any:
 
 @functools.cache
 def jet_arithmetic() -> Any:
-    """The arithmetic, with the names of `backends/module/template/arithmetic.py`; for models without networks and arrays."""
+    """The arithmetic, with the names of `backends/module/template/arithmetic.py`; without networks and arrays."""
     return SimpleNamespace(
         **_UNARY,
         atan2=_angle,

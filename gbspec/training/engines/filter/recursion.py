@@ -17,7 +17,6 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.training.problem import Integers
 
-
 Tables = TypeVar("Tables", "Flow", "Reading")
 
 
@@ -143,7 +142,8 @@ def advanced(
     """The filter over B legs in their order; what is seen at the rows [R] of `reading`.
 
     `moment` has the moments of all trajectories, which are replaced by those after the legs; `owner` [B] is the
-    trajectory of each leg, and `place` [B] the row at its end (-1: none). `kept` gets the moments on the way. The compiled `recursion.c` does the same.
+    trajectory of each leg, and `place` [B] the row at its end (-1: none). `kept` gets the moments on the way. The
+    compiled `recursion.c` does the same.
     """
     rows, channels = reading.y.shape
     out = Innovations.empty(rows, channels, None if moment.dm is None else moment.dm.shape[2])
