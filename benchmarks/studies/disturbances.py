@@ -37,7 +37,7 @@ DESIGN = {
     "friction_oscillator": (60.0, 0.25, 0.05),
 }
 """Span, interval and noise of a set: that of `process` lasts 200 relaxation times."""
-ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_aperture")
+ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_clouds", "flexhouse_aperture")
 FIELDS = ("model", "set", "constant", "truth", "value", "sd", "low", "high", "seconds")
 HARES = """model hare_lynx_disturbed "Hare and lynx, Lotka and Volterra, both disturbed"
 time year
@@ -123,7 +123,9 @@ def rooms(data: Path, out: Path, names: Iterable[str]) -> None:
         filtered, tested = filter_run(run, table, 0), filter_run(run, table, 0).whiteness(0)
         engine = filtered.engine
         # The variance that the disturbances bring in one interval, as in CTSM, instead of the sizes of the states.
-        spread = [run.fit.constants[d.value.name].value for d in model.diffusions]
+        known = {k.symbol: run.fit.constants[k.name].value for k in model.learnables}
+        known |= {u.symbol: 0.0 for u in model.inputs}
+        spread = [float(d.value.subs(known)) for d in model.diffusions]
         interval = float(np.median(np.diff(table.items[0].times)))
         variance = np.array([[s**2 * interval for s in spread]])
         narrow = FilterEngine(engine.problem, engine.parameters, np.maximum(variance, 1e-6))

@@ -91,6 +91,34 @@ def test_the_gradient_agrees_with_differences(tmp_path: Path, text: str) -> None
         assert information.gradient @ direction == pytest.approx(change, rel=1e-5, abs=1e-5)
 
 
+@pytest.mark.parametrize("text", [LINEAR, BENT], ids=["linear", "bent"])
+def test_the_information_is_that_of_differences(tmp_path: Path, text: str) -> None:
+    engine, vector = engine_of(tmp_path, text, table("X y" if text is LINEAR else "X V y", rows=8))
+    free, h = np.flatnonzero(engine.layout.free), 1e-5
+    found, seen, slopes = engine.filtered(vector), engine.problem.valued, []
+    for place in free:
+        step = h * np.eye(len(vector))[place]
+        up, down = engine.filtered(vector + step), engine.filtered(vector - step)
+        slopes.append([(getattr(up, n)[seen] - getattr(down, n)[seen]) / (2 * h) for n in ("error", "variance")])
+    error, variance = (np.array([pair[i] for pair in slopes]) for i in (0, 1))
+    v = found.variance[seen]
+    expected = (error / v) @ error.T + 0.5 * (variance / v**2) @ variance.T
+    matrix = engine.information(vector, found).matrix[np.ix_(free, free)]
+    assert np.allclose(matrix, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
+def test_without_disturbances_predictions_are_those_of_whole_solutions(tmp_path: Path) -> None:
+    text = BENT.replace("learn s = 0.3 in [0, 5]", "const s = 0").replace("learn r = 0.4 in [0, 5]", "const r = 0")
+    engine, vector = engine_of(
+        tmp_path, text.replace("initial X learn", "initial X learn\ninitial V = 1"), table("X V y")
+    )
+    found = engine.filtered(vector)
+    whole = engine.filtered(vector, seen=np.zeros_like(engine.problem.valued))
+    assert np.allclose(found.mean, whole.mean, rtol=1e-9)
+    errors = np.where(engine.problem.valued, engine.noise.value - whole.mean, 0.0)
+    assert np.allclose(np.where(engine.problem.valued, found.error, 0.0), errors, rtol=1e-9, atol=1e-10)
+
+
 def test_smoothing_begins_with_the_filter_and_reduces_variances(tmp_path: Path) -> None:
     engine, vector = engine_of(tmp_path, LINEAR, table("X y", rows=6, trajectories=1))
     found = engine.filtered(vector)
