@@ -254,7 +254,7 @@ def _after(jump: Vector, found: tuple[Arrays, Arrays], point: _Point) -> Evaluat
 def _along(slopes: Array, place: Array, n: int) -> Array:
     """Derivatives [B, ..., p] at a place that moves by `place` [B, n, p] with the variables."""
     flat = slopes.reshape(len(slopes), -1, slopes.shape[-1])
-    found = np.matmul(flat[..., :n], place)
+    found: Array = np.matmul(flat[..., :n], place)
     found[..., n:] += flat[..., n:]
     return found.reshape(slopes.shape)
 

@@ -179,7 +179,7 @@ def _ends(owner: Integers) -> list[int]:
 def _part(tables: Tables, which: slice | Integers) -> Tables:
     """Some rows of all tables."""
     parts = (None if table is None else table[which] for table in vars(tables).values())
-    return type(tables)(*parts)
+    return type(tables)(*parts)  # type: ignore[arg-type]
 
 
 def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:

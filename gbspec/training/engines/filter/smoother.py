@@ -64,6 +64,6 @@ def iterated(engine: FilterEngine, vector: Array, found: Filtered) -> tuple[Arra
             return moments
         # Paths that swing from side to side are averaged.
         share = 1.0 if change < 0.5 * last else 0.5
-        at = tuple(share * new + (1 - share) * old for new, old in ((moments[2], at[0]), (moments[0], at[1])))
+        at = share * moments[2] + (1 - share) * at[0], share * moments[0] + (1 - share) * at[1]
         last = change
     return plain
