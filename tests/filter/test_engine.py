@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 from gbspec.arrays import Array
 from gbspec.training.engines import FilterEngine
-from gbspec.training.engines.filter.smoother import iterated, smoothed
+from gbspec.training.engines.filter.relinearised import iterated
+from gbspec.training.engines.filter.smoother import smoothed
 from tests.filter.conftest import BENT, LINEAR, WITH_NETWORK, engine_of, table
 
 

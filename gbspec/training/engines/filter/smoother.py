@@ -1,13 +1,6 @@
-"""Smoothed moments: what all measurements say of a state, later ones included (Rauch, Tung and Striebel 1965).
-
-Where nothing is measured for long, the filter's means are far from where the later measurements show the states to have
-been, and so is its linearisation. `iterated` linearises again at the smoothed means until these are what they lead to:
-then they are the most probable path (Bell 1994, SIAM J. Optim. 4, 626: Gauss-Newton steps).
-"""
+"""Smoothed moments: what all measurements say of a state, later ones included (Rauch, Tung and Striebel 1965)."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,13 +8,8 @@ from gbspec.arrays import Array
 from gbspec.training.engines.filter.legs import Legs
 from gbspec.training.engines.filter.result import Filtered
 
-if TYPE_CHECKING:
-    from gbspec.training.engines.filter.engine import FilterEngine
-
 RANK = 1e-12
 """Directions with less than this share of the largest variance have none."""
-ITERATIONS, CLOSE = 30, 1e-4
-"""The most iterations, and the movement in typical sizes of the states below which the path rests."""
 
 
 def smoothed(found: Filtered, legs: Legs) -> tuple[Array, Array, Array, Array]:
@@ -43,27 +31,3 @@ def smoothed(found: Filtered, legs: Legs) -> tuple[Array, Array, Array, Array]:
         start_mean[span] = found.start_mean[span] + np.matmul(gain, change[:, :, None])[:, :, 0]
         start_cov[span] = before + np.matmul(np.matmul(gain, cov[span] - after), gain.transpose(0, 2, 1))
     return mean, cov, start_mean, start_cov
-
-
-def iterated(engine: FilterEngine, vector: Array, found: Filtered) -> tuple[Array, Array, Array, Array]:
-    """Smoothed moments as `smoothed` returns them, of the filter linearised at the smoothed means; those of the filter
-    itself where the iteration does not come to rest."""
-    plain = moments = smoothed(found, engine.legs)
-    if not found.finite or engine.affine:
-        return plain
-    at, last = (moments[2], moments[0]), np.inf
-    for _ in range(ITERATIONS):
-        again = engine.linearised(vector, at, found.seen)
-        if again.bad.any() or not np.isfinite(again.post_mean).all():
-            return plain
-        before, moments = moments, smoothed(again, engine.legs)
-        change = float(np.max(np.abs(moments[0] - before[0]) / engine.scale, initial=0.0))
-        if not np.isfinite(change):
-            return plain
-        if change < CLOSE:
-            return moments
-        # Paths that swing from side to side are averaged.
-        share = 1.0 if change < 0.5 * last else 0.5
-        at = share * moments[2] + (1 - share) * at[0], share * moments[0] + (1 - share) * at[1]
-        last = change
-    return plain
