@@ -1,6 +1,7 @@
 """Models with random disturbances: sets with known truth, a measured room, and measured populations.
 
-    python -m benchmarks.studies.disturbances DATA -o OUT --parts process,lotka_volterra,flexhouse,hare_lynx --sets 100
+    python -m benchmarks.studies.disturbances DATA -o OUT --parts process,lotka_volterra,friction_oscillator --sets 100
+    python -m benchmarks.studies.disturbances DATA -o OUT --parts flexhouse,hare_lynx
     python -m benchmarks.studies.disturbances DATA -o OUT --table docs/studies/disturbances.md
 
 DATA is a folder with flexhouse.csv and hare_lynx.csv. A set is simulated and fitted with the defaults; its row is added
