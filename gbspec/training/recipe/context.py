@@ -61,6 +61,8 @@ class Context:
     state_scale: Array
     choice: Choice = field(default_factory=Choice)
     estimated: Estimated | None = None
+    unsized: Array | None = None
+    """The states [n_states] whose size nothing declares, so that their starts are solved for; None: no such state."""
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
     @property

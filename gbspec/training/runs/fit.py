@@ -367,12 +367,14 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
         for member, name, bound in ended
     ]
+    constants = {k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables}
+    together = moving_together(correlations, [name for name, each in constants.items() if each.certain])
     return replace(
         record,
-        constants={k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables},
+        constants=constants,
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
-        warnings=(*warnings_of(results, options, model), *moving_together(correlations), *bounds),
+        warnings=(*warnings_of(results, options, model), *together, *bounds),
         correlations=correlations,
         objective=best.objective,
         population=best.population,

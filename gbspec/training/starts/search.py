@@ -28,6 +28,7 @@ from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outco
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts.own_constants import refit_own
+from gbspec.training.starts.sizes import solved_starts
 
 SAME, CLOSE = 1e-3, 1e-10
 """Losses of the same minimum differ by less than this, relatively or absolutely."""
@@ -96,13 +97,17 @@ class Search:
     """One start in each step: the given vector, the declared starting values, then the draws from the best one on.
 
     Every third start is first improved with teacher forcing by `forced`: errors from one measurement to the next have
-    fewer minima than those of whole solutions, whose best one they often lead to.
+    fewer minima than those of whole solutions, whose best one they often lead to. The initial values of states of
+    unknown size (`unsized`) are solved for at each draw: they go with its constants.
     """
 
     name = StageName.SEARCH.value
 
-    def __init__(self, engine: Engine, forced: Engine | None, seed: int, effort: Effort) -> None:
+    def __init__(
+        self, engine: Engine, forced: Engine | None, seed: int, effort: Effort, unsized: Array | None = None
+    ) -> None:
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
+        self.unsized = unsized
         self.patience = patience_of(effort, engine)
         columns = self.parameters.n_shared + self.parameters.n_local
         self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
@@ -193,7 +198,7 @@ class Search:
             if i % 2:
                 blocks[:, len(parameters.own) :] += parameters.start_free * (2 * points[i, n_constants:] - 1)
             drawn[parameters.n_shared :] = blocks.ravel()
-            out.append(drawn)
+            out.append(drawn if self.unsized is None else solved_starts(self.engine, drawn, self.unsized))
         return np.array(out)
 
     def _blocks(self, theta: Array, drawn: Array) -> Array:
