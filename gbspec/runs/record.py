@@ -121,7 +121,8 @@ class ChannelRecord:
 
     `values` is the number of measured values, `weight` that of a squared error, in units of the variance of the data.
     If the channel is weighed by a noise that the fit estimated, `noise` is its standard deviation, and `share` the
-    share of the values that count.
+    share of the values that count. `outliers` is the number of residuals far from all others, if these leave most of
+    the sum of squares.
     """
 
     r2: float | None
@@ -134,6 +135,7 @@ class ChannelRecord:
     share: float | None = field(default=None, metadata=OMITTED)
     autocorrelation: float | None = field(default=None, metadata=OMITTED)
     pairs: int = 0
+    outliers: int | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

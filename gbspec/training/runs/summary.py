@@ -27,6 +27,9 @@ from gbspec.training.problem import (
 from gbspec.training.recipe import Context, astray, held_out_solutions, step_fraction, stiff_as_learned
 from gbspec.training.stages import StageName
 
+FAR, FEW, ENOUGH = 6.0, 0.05, 20
+"""Residuals beyond `FAR` robust deviations are far from all others, if they are at most `FEW` of at least `ENOUGH`."""
+
 
 @dataclass
 class MemberResult:
@@ -174,8 +177,18 @@ def _channels(
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
             *autocorrelation_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
+            outliers=_outliers(residuals[rows, i]),
         )
     return out
+
+
+def _outliers(residuals: Array) -> int | None:
+    """The number of residuals beyond `FAR` robust deviations, if there are few and they leave most of the sum of
+    squares; None otherwise."""
+    far = np.abs(residuals) > FAR * _robust_deviation(residuals)
+    if len(residuals) < ENOUGH or not np.isfinite(residuals).all() or not 0 < far.sum() <= FEW * len(residuals):
+        return None
+    return int(far.sum()) if np.sum(residuals[far] ** 2) > 0.5 * np.sum(residuals**2) else None
 
 
 def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
