@@ -27,6 +27,8 @@ from gbspec.training.starts import Search
 
 LIMIT = 2.8
 """The limit of stability of `rk4`: step times rate of a decay."""
+NEAR = 0.5
+"""Solutions beyond this share of the limit are near it: a fit cannot cross it, and may have come to rest there."""
 SHARE = 0.1
 """Equations count as stiff where at least this share of the points is beyond the limit."""
 MANY = 1000
@@ -141,24 +143,40 @@ def _fastest(problem: Problem, parameters: Parameters, theta: Array, states: Arr
     return np.where(fastest.real < 0, np.abs(fastest), 0.0)
 
 
+def times_step(
+    context: Context, problem: Problem, parameters: Parameters, theta: Array, fraction: float, states: Array
+) -> tuple[float, float]:
+    """The rate of the fastest decay at a tenth of the `states` [R, n_states] of solutions, and this times the fixed
+    step; zeros where steps are adaptive, or where nothing is said of stiffness."""
+    if context.adaptive or not _may_be_stiff(context.model):
+        return 0.0, 0.0
+    rows = np.arange(problem.packed.rows)[:: max(1, problem.packed.rows // MOST_ROWS)]
+    rates = _fastest(problem, parameters, theta, states, rows[np.isfinite(states[rows]).all(axis=1)])
+    fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    return fast, fast * context.max_step * fraction
+
+
 def stiff_as_learned(
     context: Context, problem: Problem, parameters: Parameters, theta: Array, fraction: float, states: Array
 ) -> list[str]:
-    """A sentence if the equations are stiff for the fixed steps of a fit at its `states` [R, n_states], with the
-    functions that were learned: their slope does not show before the fit."""
-    model = context.model
-    if context.adaptive or not _may_be_stiff(model):
-        return []
-    rows = np.arange(problem.packed.rows)[:: max(1, problem.packed.rows // MOST_ROWS)]
-    rates = _fastest(problem, parameters, theta, states, rows[np.isfinite(states[rows]).all(axis=1)])
-    fast, step = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0, context.max_step * fraction
-    if not step * fast > LIMIT:
-        return []
-    return [
-        f"as learned, the equations are stiff: at its solutions they have rates of {fast:.3g}, which times the step of "
-        f"{step:.3g} is {step * fast:.3g}, and an explicit method is stable up to {LIMIT}; fit again with `--solver "
-        f"{STIFF.name}`, or with a smaller `--max-step`"
-    ]
+    """A sentence if the equations are stiff for the fixed steps of a fit at its `states` [R, n_states], as learned: the
+    slope of a function does not show before the fit, and constants may have moved to where steps are just stable."""
+    fast, product = times_step(context, problem, parameters, theta, fraction, states)
+    step = context.max_step * fraction
+    remedy = f"fit again with `--solver {STIFF.name}`, or with a smaller `--max-step`"
+    times = f"rates of {fast:.3g}, which times the step of {step:.3g} is {product:.3g}"
+    if product > LIMIT:
+        return [
+            f"as learned, the equations are stiff: at its solutions they have {times}, and an explicit method is "
+            f"stable up to {LIMIT}; {remedy}"
+        ]
+    if product > NEAR * LIMIT and not context.model.networks and context.options.max_step is None:
+        return [
+            f"the solutions are at the limit of the solver's stability: they have {times}, and an explicit method is "
+            f"stable up to {LIMIT}. Constants may be where they are for this reason, and their intervals too narrow; "
+            f"{remedy}"
+        ]
+    return []
 
 
 def _may_be_stiff(model: Model) -> bool:
