@@ -1,4 +1,4 @@
-"""Constants that the data do not hold come to rest before the limit of stability of the solver's steps: not silently."""
+"""Constants that the data do not hold must not come to rest where the solver's steps are just stable."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def _sized(context: Context) -> Context:
     model = context.model
     if model.networks or model.diffusions or model.distributed or model.steady is not None:
         return context
-    covered = np.array([context.curves.covers(i) for i in range(len(model.states))], dtype=bool)
+    covered = np.array([context.curves.covers(i) for i in range(len(model.states))], dtype=np.bool_)
     states = unsized(model, covered, context.start_free)
     if not states.any():
         return context

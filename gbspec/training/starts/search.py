@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import (
@@ -110,7 +110,7 @@ class Search:
     name = StageName.SEARCH.value
 
     def __init__(
-        self, engine: Engine, forced: Engine | None, seed: int, effort: Effort, unsized: Array | None = None
+        self, engine: Engine, forced: Engine | None, seed: int, effort: Effort, unsized: Mask | None = None
     ) -> None:
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
         self.unsized = unsized

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.ir import Model
 from gbspec.training.engines import Engine, linearise, residual_vector
@@ -26,14 +26,14 @@ CUT = 1e-9
 """Singular values below this fraction of the largest count as zero: such directions stay as they are."""
 
 
-def unsized(model: Model, covered: Array, free: Array) -> Array:
+def unsized(model: Model, covered: Mask, free: Array) -> Mask:
     """The states [n_states] that are learned at the start and of unknown size: `covered` are those of which a curve
     through measurements is known, `free` [N, n_states] is 1 where an initial value is learned."""
     declared = [s.start is not None or (s.range is not None and s.range.bounded) for s in model.states]
-    return np.asarray(free.any(axis=0) & ~covered & ~np.array(declared, dtype=bool))
+    return np.asarray((free > 0).any(axis=0) & ~covered & ~np.array(declared, dtype=np.bool_), dtype=np.bool_)
 
 
-def solved_starts(engine: Engine, theta: Array, states: Array, steps: int = 1) -> Array:
+def solved_starts(engine: Engine, theta: Array, states: Mask, steps: int = 1) -> Array:
     """The vector with the learned initial values of some states [n_states] by linear least squares, each trajectory for
     itself and without damping, where this lessens the residuals."""
     parameters, loss = engine.parameters, _loss(engine, theta)
@@ -50,7 +50,7 @@ def solved_starts(engine: Engine, theta: Array, states: Array, steps: int = 1) -
     return theta
 
 
-def sized_starts(engine: Engine, theta: Array, states: Array, seed: int) -> tuple[Array, Array] | None:
+def sized_starts(engine: Engine, theta: Array, states: Mask, seed: int) -> tuple[Array, Array] | None:
     """Initial values [N, n_states] with those of some states from the best of several draws of the constants, and the
     sizes [n_states] of these states; None if no solution was found."""
     parameters = engine.parameters
@@ -77,7 +77,7 @@ def _local(engine: Engine, theta: Array) -> tuple[Array, Array, Integers]:
     return system.residuals.numpy(), system.local.numpy()[:, own:], system.owner.numpy()
 
 
-def _step(engine: Engine, theta: Array, states: Array) -> Array:
+def _step(engine: Engine, theta: Array, states: Mask) -> Array:
     """The step of Gauss and Newton in the trajectories' blocks [N, n_local], zero for all but the initial values."""
     parameters, own = engine.parameters, len(engine.parameters.own)
     step = np.zeros((parameters.trajectories, parameters.n_local))
