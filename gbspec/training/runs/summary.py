@@ -24,7 +24,14 @@ from gbspec.training.problem import (
     measured_only,
     residuals_of,
 )
-from gbspec.training.recipe import Context, astray, held_out_solutions, step_fraction, stiff_as_learned
+from gbspec.training.recipe import (
+    Context,
+    astray,
+    held_out_solutions,
+    step_fraction,
+    stiff_as_learned,
+    unstable_as_learned,
+)
 from gbspec.training.stages import StageName
 
 FAR, FEW, ENOUGH = 6.0, 0.05, 20
@@ -100,11 +107,13 @@ def summarise(
     values = constants.numpy()[:, known:].mean(axis=0)
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
+    channels = _channels(context, parameters, theta, problem, solution.mean, fraction)
+    lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
     return MemberResult(
         context.seed,
         mean_loss(measured_only(problem, residuals_of(problem, solution.mean))),
         mean_loss(residual_vector(context.engine(parameters, 1.0, fraction), theta)),
-        _channels(context, parameters, theta, problem, solution.mean, fraction),
+        channels,
         rmse,
         noise,
         dict(zip(names, map(float, values), strict=True)),
@@ -115,6 +124,7 @@ def summarise(
         list(context.packed().labels),
         failed,
         left=[
+            *(unstable_as_learned(context, parameters, theta) if lost else []),
             *_left(model, solution),
             *only_at_its_step(context, parameters, theta, fraction, failed),
             *stiff_as_learned(context, problem, parameters, theta, fraction, solution.before),
