@@ -37,5 +37,5 @@ def test_starts_of_any_size_are_found_where_no_range_says_it(tmp_path: Path) -> 
     run = gbspec.load(tmp_path / "chain.gb").train(counts(8e9), tmp_path / "run", effort="low").run
     found = {name: record.value for name, record in run.fit.constants.items()}
     assert abs(found["la"] / 2.9e-6 - 1) < 0.02 and abs(found["lb"] / 3.2e-5 - 1) < 0.05
-    assert all(channel.r2 > 0.999 for channel in (run.fit.members[0].channels or {}).values())
+    assert all((channel.r2 or 0.0) > 0.999 for channel in (run.fit.members[0].channels or {}).values())
     assert not any("ended at its bound" in warning for warning in run.fit.warnings)
