@@ -53,7 +53,7 @@ LARGEST = 10**7
 OFTEN = 4
 """How much more often a minimum has to be found whose residuals do not look like noise: a better one may exist."""
 
-APART = 0.05
+APART = 0.2
 """Minima are compared if a constant differs by more than this, relatively."""
 MOST_MINIMA = 4
 """So many minima that are equally good are remembered."""
