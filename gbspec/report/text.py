@@ -22,6 +22,15 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value:.{max(digits - 2, 1)}e}"
 
 
+def ends_of(interval: tuple[float, float] | None, digits: int = 4) -> str:
+    """An interval for a table, with as many digits as its width needs; a dash where there is none."""
+    if interval is None or not all(map(math.isfinite, interval)):
+        return "-"
+    size, width = max(map(abs, interval)), interval[1] - interval[0]
+    needed = math.ceil(math.log10(size / width)) + 3 if width > 0 else digits
+    return " to ".join(number(end, min(max(digits, needed), 12)) for end in interval)
+
+
 def share(r2: float | None) -> str:
     """An R² for a table, which is 1 only where it is."""
     from gbspec.analysis import share_text
@@ -184,9 +193,8 @@ def _own_constants(run: Run) -> list[str]:
         cells = [label]
         for values in own.values():
             one = values.get(label)
-            between = one.interval if one is not None else None
             cells.append(number(one.value if one is not None else None, 5))
-            cells.append(f"{number(between[0], 3)} to {number(between[1], 3)}" if between else "-")
+            cells.append(ends_of(one.interval if one is not None else None, 3))
         lines.append(cells)
     header = ["trajectory", *(word for name in own for word in (name, "interval"))]
     more = len(labels) - SHOWN
@@ -244,9 +252,8 @@ def run_summary(run: Run) -> str:
     truths = {t.name: t.value for t in run.model.truth_constants}
     rows = []
     for name, entry in run.fit.constants.items():
-        between = f"{number(entry.interval[0])} to {number(entry.interval[1])}" if entry.interval else "-"
         profile, truth = interval_of(run.profiled(name)), number(truths.get(name), 6)
-        rows.append([name, number(entry.value, 6), number(entry.sd, 2), between, profile, truth])
+        rows.append([name, number(entry.value, 6), number(entry.sd, 2), ends_of(entry.interval), profile, truth])
     if rows:
         header = ["constant", "value", "sd", "interval", "profile", "truth"]
         keep = [i for i in range(len(header)) if i < 4 or any(row[i] != "-" for row in rows)]

@@ -12,6 +12,7 @@ import numpy as np
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
+from gbspec.runs import CERTAIN
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
 FOLLOWED, LOST = 0.9, 0.5
 """R² of whole solutions from which a channel counts as followed, and below which the fit is not to be relied on."""
-CERTAIN, VAGUE = 0.1, 0.5
-"""Half a 90 % interval, relative to the value, up to which a constant is certain, and from which it is hardly known."""
+VAGUE = 0.5
+"""Half a 90 % interval, relative to the value, from which a constant is hardly known."""
 FUNCTION_CERTAIN, FUNCTION_VAGUE = 0.1, 0.3
 """Half a function's 90 % band, or the spread of its members, relative to its range over the data."""
 HARDLY = "The data hardly determine"

@@ -15,6 +15,7 @@ from .population import read_tables as read_tables
 from .profiles import ProfileRecord as ProfileRecord
 from .profiles import Trust as Trust
 from .profiles import write_profile as write_profile
+from .record import CERTAIN as CERTAIN
 from .record import DAMAGED as DAMAGED
 from .record import BackendRecord as BackendRecord
 from .record import ChannelRecord as ChannelRecord

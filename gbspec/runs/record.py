@@ -62,6 +62,10 @@ class OwnRecord:
     others: Mapping[str, object] = field(default_factory=dict)
 
 
+CERTAIN = 0.1
+"""Half a 90 % interval, relative to the value, up to which a constant is certain."""
+
+
 @dataclass(frozen=True)
 class ConstantRecord:
     """A learned constant, in its unit: mean over members, standard deviation, 90 % interval (None: not known).
@@ -76,6 +80,19 @@ class ConstantRecord:
     per_member: tuple[float, ...]
     per_trajectory: Mapping[str, OwnRecord] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def half_width(self) -> float | None:
+        """Half the interval, relative to the value; None where it is not known."""
+        if self.interval is None:
+            return None
+        half = 0.5 * (self.interval[1] - self.interval[0])
+        return half / abs(self.value) if self.value else None if half else 0.0
+
+    @property
+    def certain(self) -> bool:
+        """Whether the data determine the constant by itself: half its interval is at most a tenth of its value."""
+        return self.half_width is not None and self.half_width <= CERTAIN
 
 
 @dataclass(frozen=True)
@@ -104,7 +121,8 @@ class ChannelRecord:
 
     `values` is the number of measured values, `weight` that of a squared error, in units of the variance of the data.
     If the channel is weighed by a noise that the fit estimated, `noise` is its standard deviation, and `share` the
-    share of the values that count.
+    share of the values that count. `outliers` is the number of residuals far from all others, if these leave most of
+    the sum of squares.
     """
 
     r2: float | None
@@ -117,6 +135,7 @@ class ChannelRecord:
     share: float | None = field(default=None, metadata=OMITTED)
     autocorrelation: float | None = field(default=None, metadata=OMITTED)
     pairs: int = 0
+    outliers: int | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

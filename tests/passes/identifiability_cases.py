@@ -56,6 +56,12 @@ FURTHER: dict[str, Case] = {
         "learn F = 0.8\nlearn V = 2\n" + ORAL + "dose g times F\ninitial g = 0\ninitial c = 0\nobserve y = c/V\n",
         1, {"F", "V"}, set(), "y depends on F/V alone",
     ),
+    "fraction and volume of a dose, a second compartment": (
+        "learn F = 0.8\nlearn V = 2\n" + ORAL.replace("- ke*c", "- ke*c - k12*c + k21*p")
+        + "learn k12 = 0.4\nlearn k21 = 0.6\nstate p\np' = k12*c - k21*p\n"
+        + "dose g times F\ninitial g = 0\ninitial c = 0\ninitial p = 0\nobserve y = c/V\n",
+        1, {"F", "V"}, set(), "y depends on F/V alone; the rates show in the sixth derivative, beyond the orders tried",
+    ),
     "volume of a dose": (
         "learn V = 2\n" + ORAL + "dose g\ninitial g = 0\ninitial c = 0\nobserve y = c/V\n",
         0, set(), set(), "the amount is given: y'(0) = ka*D/V, and ka, ke follow from higher derivatives",

@@ -284,3 +284,12 @@ observe w
     model = model_of(text)
     units = [argument_units(model, one) for one in model.unknowns]
     assert units == [("rad/s",), ("",), ("rad/s", "rad")]
+
+
+def test_an_interval_has_the_digits_that_its_width_needs() -> None:
+    from gbspec.report.text import ends_of
+
+    assert ends_of((1.622, 1.707)) == "1.622 to 1.707"
+    assert ends_of((2.9076e-6, 2.9145e-6)) == "2.9076e-06 to 2.9145e-06"
+    assert ends_of((0.02999996, 0.03000004)) == "0.02999996 to 0.03000004"
+    assert ends_of((0.1, 100.0)) == "0.1 to 100" and ends_of(None) == "-" and ends_of((2.0, 2.0)) == "2 to 2"

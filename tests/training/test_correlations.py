@@ -49,8 +49,16 @@ def test_three_constants_that_only_a_sum_of_is_known_are_named_though_no_pair_is
     known = table((1, -0.49, -0.49, 0), (-0.49, 1, -0.49, 0), (-0.49, -0.49, 1, 0), (0, 0, 0, 1))
     (warning,) = moving_together(known)
     assert all(f"0.58 `{name}`" in warning for name in "abc") and "`d`" not in warning
+    assert "the data determine the combination" in warning and "hardly" not in warning  # the sum is what is known
 
 
 def test_a_pair_is_named_once_and_what_is_well_known_not_at_all() -> None:
     assert len(moving_together(table((1, 0.99, 0.1), (0.99, 1, 0.1), (0.1, 0.1, 1)))) == 1
     assert moving_together(table((1, 0.9), (0.9, 1))) == [] == moving_together({})
+
+
+def test_nothing_is_said_of_constants_that_are_known_well_by_themselves() -> None:
+    pair = table((1, 0.99), (0.99, 1))
+    assert moving_together(pair, {"a", "b"}) == [] and len(moving_together(pair, {"a"})) == 1
+    three = table((1, -0.49, -0.49), (-0.49, 1, -0.49), (-0.49, -0.49, 1))
+    assert moving_together(three, {"a", "b", "c"}) == [] and len(moving_together(three, {"a", "b"})) == 1

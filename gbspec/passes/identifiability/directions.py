@@ -13,6 +13,7 @@ import sympy
 
 from gbspec.arrays import Array
 from gbspec.passes.identifiability.branches import Branches
+from gbspec.passes.identifiability.generators import moved
 from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, OutOfTime, size
 from gbspec.passes.identifiability.points import bases_of
 from gbspec.passes.identifiability.question import Question
@@ -58,7 +59,8 @@ def find(question: Question, deadline: float) -> Directions | None:
     Equal ranks in a row end the search, of orders above that at which the last constant can show, and at which the
     expansions tell something: at low orders free initial values of unmeasured states compensate everything. Two are
     enough where made-up terms show that, three with unmeasured states where an unknown function of everything is in
-    each rate: each unmeasured state may need one more derivative before it affects an output.
+    each rate: each unmeasured state may need one more derivative before it affects an output. Where orders or time end
+    first, directions that exact symmetries explain are decided all the same: no further order excludes them.
     """
     reach = Reach(question).orders()
     first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
@@ -68,11 +70,10 @@ def find(question: Question, deadline: float) -> Directions | None:
     branches = Branches(question)
     order, silent = 0, 0
     while (order := order + 1) <= last + silent:
-        if size(question, order) > MOST_COLUMNS or time.process_time() > deadline:
-            return None
-        found = at_order(question, order, deadline, branches)
+        late = size(question, order) > MOST_COLUMNS or time.process_time() > deadline
+        found = None if late else at_order(question, order, deadline, branches)
         if found is None:
-            return None
+            break
         if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
             return found
         if not found.tells:
@@ -82,7 +83,21 @@ def find(question: Question, deadline: float) -> Directions | None:
         ranks = {(each.basis.shape[1], each.doubtful.shape[1], each.functions) for each in past[-needed:]}
         if order > first and len(past) >= needed and len(ranks) == 1:
             return found
-    return None
+    return past[-1] if past and _explained(question, past[-1]) else None
+
+
+def _explained(question: Question, found: Directions) -> bool:
+    """Whether exact symmetries span the directions."""
+    if found.functions or found.doubtful.shape[1]:
+        return False
+    constants = found.bases[0].constants
+    sizes = np.array([abs(constants[k.symbol]) or 1.0 for k in question.sought])
+    proved = moved(question, constants) / sizes
+    count = found.basis.shape[1]
+    both = np.concatenate([proved, (found.basis / sizes[:, None]).T])
+    norms = np.maximum(np.linalg.norm(both, axis=1), 1e-300)[:, None]
+    ranks = {int(np.linalg.matrix_rank(part, tol=1e-6)) for part in ((both / norms)[: len(proved)], both / norms)}
+    return bool(len(proved)) and ranks == {count}
 
 
 def at_order(

@@ -13,9 +13,10 @@ from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir import Model
 from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.directions import MOST_COLUMNS, ORDERS, Directions, absorbers, at_order, find
+from gbspec.passes.identifiability.generators import echelon
 from gbspec.passes.identifiability.jets import size
 from gbspec.passes.identifiability.question import Question, pose
-from gbspec.passes.identifiability.symmetry import Symmetry, echelon, keeps_zeros, symmetries, transformations
+from gbspec.passes.identifiability.symmetry import Symmetry, keeps_zeros, symmetries, transformations
 from gbspec.passes.terms import larger_than
 
 MOST_STATES = 40

@@ -11,20 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Literal
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.passes.identifiability.directions import Directions, at_order
+from gbspec.passes.identifiability.generators import KINDS, Key, Kind, rational_null
 from gbspec.passes.identifiability.jets import Base, Germ, LinearSystem
 from gbspec.passes.identifiability.question import Question
-
-Kind = Literal["scaling", "translation"]
-Key = tuple[str, str, int]
-"""The subject of a weight: ("constant", name, 0), ("state", name, 0), or for an unknown ("value", name, 0), its
-argument scaled or added to the value ("argument", name, r), its argument shifted ("shift", name, r).
-"""
 
 CLEAR = 2
 """The order from which a shift of an argument is distinguished from an addition to the value."""
@@ -108,14 +102,13 @@ def transformations(question: Question, directions: Directions) -> list[Symmetry
     formals = {name: [a.name for a in items] for name, items in arguments.items()}
     if directions.order < CLEAR:
         directions = at_order(question, CLEAR) or directions
-    kinds: tuple[Kind, ...] = ("scaling", "translation")
-    for kind in kinds:
-        keys = _keys(question, kind)
+    for kind in KINDS:
+        keys = _keys(question, directions, kind)
         blocks = []
         for system, base in zip(directions.systems, directions.bases, strict=True):
             generators = np.stack([_column(question, system, base, key, kind) for key in keys], axis=1)
             blocks.append(system.matrix @ generators)
-        found += [Symmetry(kind, weights, formals) for weights in _rational_null(np.concatenate(blocks), keys)]
+        found += [Symmetry(kind, weights, formals) for weights in rational_null(np.concatenate(blocks), keys)]
     return found
 
 
@@ -132,11 +125,13 @@ def keeps_zeros(question: Question, found: Symmetry) -> bool:
     return True
 
 
-def _keys(question: Question, kind: Kind) -> list[Key]:
-    """The candidate weights, in order of preference."""
+def _keys(question: Question, directions: Directions, kind: Kind) -> list[Key]:
+    """The candidate weights, in order of preference; of states those that some expansion starts anywhere."""
+    free = {name for system in directions.systems for name in system.starts}
     arguments: dict[str, int] = {a.unknown: len(a.arguments) for a in question.applications}
     keys: list[Key] = [("value", name, 0) for name in arguments]
-    keys += [("state", question.model.states[i].name, 0) for i in question.hidden if question.starts[i] is None]
+    names = [question.model.states[i].name for i in question.hidden]
+    keys += [("state", name, 0) for name in names if name in free]
     keys += [("argument", name, r) for name, count in arguments.items() for r in range(count)]
     if kind == "translation":
         keys += [("shift", name, r) for name, count in arguments.items() for r in range(count)]
@@ -162,6 +157,8 @@ def _column(question: Question, system: LinearSystem, base: Base, key: Key, kind
 
 
 def _move_start(question: Question, system: LinearSystem, base: Base, name: str, kind: Kind, column: Array) -> None:
+    if name not in system.starts:  # as its expression says
+        return
     symbol = next(s.symbol for s in question.model.states if s.name == name)
     first = system.starts[name]
     if kind == "translation":
@@ -198,37 +195,3 @@ def _move_germ(germ: Germ, what: str, position: int, kind: Kind, part: Array) ->
             part[index[exponent]] -= power * coefficient
             lower = (*exponent[:position], power - 1, *exponent[position + 1 :])
             part[index[lower]] -= power * coefficient * germ.base[position] / width
-
-
-def _rational_null(matrix: Array, keys: Sequence[Key]) -> list[dict[Key, Fraction]]:
-    """A basis of the null space with small fractions as entries; vectors without such entries are left out."""
-    norms = np.linalg.norm(matrix, axis=0)
-    scaled = matrix / np.where(norms > 0, norms, 1.0)
-    _, values, right = np.linalg.svd(scaled, full_matrices=True)
-    rank = int(np.sum(values > 1e-9 * max(values[0], 1e-300))) if values.size else 0
-    null = right[rank:] / np.where(norms > 0, norms, 1.0)
-    found = []
-    for vector in echelon(null[:, ::-1])[:, ::-1]:
-        weights = {key: Fraction(float(v)).limit_denominator(12) for key, v in zip(keys, vector, strict=True)}
-        if max(abs(float(weights[key]) - v) for key, v in zip(keys, vector, strict=True)) < 1e-5:
-            found.append(weights)
-    return found
-
-
-def echelon(rows: Array) -> Array:
-    """Reduced row echelon form, with pivots in the first columns that allow it."""
-    rows = rows.copy()
-    top = 0
-    for column in range(rows.shape[1]):
-        if top == len(rows):
-            break
-        best = top + int(np.argmax(np.abs(rows[top:, column])))
-        if abs(rows[best, column]) < 1e-7 * max(1.0, float(np.max(np.abs(rows)))):
-            continue
-        rows[[top, best]] = rows[[best, top]]
-        rows[top] /= rows[top, column]
-        for other in range(len(rows)):
-            if other != top:
-                rows[other] -= rows[other, column] * rows[top]
-        top += 1
-    return rows[:top]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.report import collect
-from gbspec.report.text import interval_of, number, share
+from gbspec.report.text import ends_of, interval_of, number, share
 from gbspec.runs import Run
 
 
@@ -25,7 +25,7 @@ def constants(run: Run) -> Table:
     known = collect.constants(run)
     profiled = any(one.profile is not None for one in known)
     for one in known:
-        between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
+        between = ends_of(one.interval)
         error = f"{100 * abs(one.value / one.truth - 1):.2g} %" if one.truth else "-"
         made = (interval_of(one.profile),) if profiled else ()
         rows.append((one.name, number(one.value, 6), one.unit or "-", between, *made, number(one.start),
@@ -47,7 +47,7 @@ def few_constants(run: Run) -> Table:
     rows = []
     for one in found:
         unit = f" {one.unit}" if one.unit else ""
-        between = "-" if one.interval is None else f"{number(one.interval[0], 5)} to {number(one.interval[1], 5)}"
+        between = ends_of(one.interval, 5)
         own = run.fit.constants[one.name].per_trajectory
         if own:
             values = [each.value for each in own.values()]

@@ -20,3 +20,4 @@ from .recognition_network import recognition as recognition
 from .stiffness import chosen_solver as chosen_solver
 from .stiffness import solver_of as solver_of
 from .stiffness import stiff_as_learned as stiff_as_learned
+from .stiffness import unstable_as_learned as unstable_as_learned

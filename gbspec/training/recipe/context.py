@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.data import Estimated, Scales, Trajectories, scales_of
 from gbspec.ir import METHODS, Method, Model, RosenbrockW, linear_in_states
@@ -61,6 +61,8 @@ class Context:
     state_scale: Array
     choice: Choice = field(default_factory=Choice)
     estimated: Estimated | None = None
+    unsized: Mask | None = None
+    """The states [n_states] whose size nothing declares, so that their starts are solved for; None: no such state."""
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
     @property

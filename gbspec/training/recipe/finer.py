@@ -15,6 +15,7 @@ from gbspec.training.problem import Parameters, mean_loss, measured_only
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.growing import GrowingHorizons
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
+from gbspec.training.recipe.stiffness import LIMIT, NEAR, times_step
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import refit_starts
 
@@ -45,6 +46,8 @@ class LastFit:
     constants: bool
 
 
+INEXACT, LIMITED = "inexact", "limited"
+"""Reasons for a finer step: its error shows, or solutions are near its limit of stability."""
 LEAST_ADAPTIVE = 1e-8
 """The same fraction for adaptive steps, which cost little more at a smaller tolerance."""
 
@@ -139,7 +142,10 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
         newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
         rtol = context.tolerance(fraction)
         size = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
-        said = f"{size}, since the error of {'twice this step' if rtol is None else 'ten times this one'} showed"
+        before = "twice this step" if rtol is None else "ten times this one"
+        said = f"{size}, since the error of {before} showed"
+        if why(reached) == LIMITED:
+            said = f"{size}, since solutions were near the limit of stability of {before}"
 
         def elsewhere(theta: Array) -> Array:
             """Other initial states, or else what segments lead to."""
@@ -149,16 +155,33 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
 
         return FinerStep(newton, said, elsewhere)
 
-    def shows(reached: Reached) -> bool:
-        found = last(reached)
-        given = context.options.tolerance if context.adaptive else context.options.max_step
-        if given is not None or found is None:
-            return False
-        if list(reached.begun).count(StageName.FINER) != number - 1:
-            return False
-        size = step_fraction(reached.begun)
+    def why(reached: Reached) -> str:
+        """Why a finer step is needed; empty if it is not."""
+        found, size = last(reached), step_fraction(reached.begun)
+        assert found is not None, "the fit before has begun"
         now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
         least = LEAST_ADAPTIVE if context.adaptive else LEAST_ERROR
-        return step_shows(now, half, reached.theta, found.constants, least)
+        if step_shows(now, half, reached.theta, found.constants, least):
+            return INEXACT
+        return LIMITED if _near_limit(context, found.layout, reached.theta, size) else ""
 
-    return Planned(StageName.FINER, most, make, possible=shows)
+    def possible(reached: Reached) -> bool:
+        given = context.options.tolerance if context.adaptive else context.options.max_step
+        if given is not None or last(reached) is None:
+            return False
+        return list(reached.begun).count(StageName.FINER) == number - 1 and bool(why(reached))
+
+    return Planned(StageName.FINER, most, make, possible=possible)
+
+
+def _near_limit(context: Context, layout: Parameters, theta: Array, fraction: float) -> bool:
+    """Whether whole solutions of known functions are near the limit of stability of an explicit step.
+
+    Beyond it solutions are wrong, so that no fit goes there: constants that the data do not hold come to rest before
+    it, with deviations that are those of the steps. At half the step they move on, or stay where the data hold them.
+    """
+    if context.model.networks or context.adaptive:
+        return False
+    engine = context.engine(layout, 0.0, fraction)
+    states = predicted(engine, theta).before
+    return times_step(context, engine.problem, layout, theta, fraction, states)[1] > NEAR * LIMIT

@@ -118,7 +118,9 @@ class _Planner:
 
         def make(reached: Reached) -> Stage:
             forced = context.engine(parameters, 1.0) if blend == 0.0 else None
-            return Search(context.engine(parameters, blend), forced, context.seed, context.options.effort)
+            return Search(
+                context.engine(parameters, blend), forced, context.seed, context.options.effort, context.unsized
+            )
 
         def believed(reached: Reached) -> bool:
             """Whether initial values are single measurements of noisy data."""

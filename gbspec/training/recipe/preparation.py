@@ -20,11 +20,14 @@ from gbspec.training.recipe.weighing import first as first_weights
 from gbspec.training.starts import (
     Earlier,
     Eliminated,
+    collocate,
     earlier,
     eliminate,
     network_scales,
     regress_slopes,
+    sized_starts,
     slope_mismatch,
+    unsized,
 )
 
 SUSPECT = 0.03
@@ -49,18 +52,41 @@ def prepare(
     With `--start` the networks and constants of an earlier run replace those that have their names.
     """
     given = None if options.start is None else earlier(options.start, model, module)
-    first = _attempt(_weighed(build_context(model, module, trajectories, options, seed)), given)
+    first = _attempt(_weighed(_sized(build_context(model, module, trajectories, options, seed))), given)
     if given is not None or not options.warm_start or not first.context.points.equations:
         return first
     if _misfit(first) <= SUSPECT:
         return first
-    second = _attempt(_weighed(build_context(model, module, trajectories, options, seed, smooth=True)))
+    second = _attempt(_weighed(_sized(build_context(model, module, trajectories, options, seed, smooth=True))))
     return min(first, second, key=_misfit)
 
 
 def _weighed(context: Context) -> Context:
     """The context with first weights of channels that have very different numbers of values."""
     context.estimated = first_weights(context)
+    return context
+
+
+def _sized(context: Context) -> Context:
+    """The context with the sizes and initial values of states of which nothing but whole solutions tells them.
+
+    Not with networks, whose scales take part in it.
+    """
+    model = context.model
+    if model.networks or model.diffusions or model.distributed or model.steady is not None:
+        return context
+    covered = np.array([context.curves.covers(i) for i in range(len(model.states))], dtype=np.bool_)
+    states = unsized(model, covered, context.start_free)
+    if not states.any():
+        return context
+    parameters, theta = initial(context)
+    found = sized_starts(context.engine(parameters, 0.0), theta, states, context.seed)
+    if found is not None:
+        starts, sizes = found
+        context.start_value = np.where(states & (context.start_free > 0), starts, context.start_value)
+        context.state_scale = np.where(states, sizes, context.state_scale)
+        context.points = collocate(model, context.trajectories, context.curves, context.start_value)
+        context.unsized = states
     return context
 
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, load_module
@@ -27,8 +28,14 @@ from gbspec.training.starts import Search
 
 LIMIT = 2.8
 """The limit of stability of `rk4`: step times rate of a decay."""
+NEAR = 0.5
+"""Solutions beyond this share of the limit are near it: a fit cannot cross it, and may have come to rest there."""
 SHARE = 0.1
 """Equations count as stiff where at least this share of the points is beyond the limit."""
+HOPELESS = 30.0
+"""Errors that grow by more than e to this within a trajectory exceed it from rounding alone."""
+SHORT = 5.0
+"""In pieces of so many times of growth errors grow by e to this: a start shows, and its error does not take over."""
 MANY = 1000
 """With more fixed steps than this between two rows on average, times spread over so many scales that steps have to."""
 UNSOLVED, BETTER = 0.2, 0.9
@@ -116,15 +123,46 @@ def _fixed_steps(trajectories: Trajectories, step: float) -> tuple[float, int]:
 def decays(context: Context, parameters: Parameters, theta: Array) -> Array:
     """The rates of the fastest modes at the measured states [P], 0 where such a mode grows; points where the equations
     have no finite derivatives are left out."""
+    problem, states = _at_data(context, parameters, theta)
+    return _fastest(problem, parameters, theta, states, np.arange(problem.packed.rows))
+
+
+def growth(context: Context, parameters: Parameters, theta: Array) -> tuple[float, float]:
+    """The rate of growth of errors at the measured states (its mean over the trajectory in which they grow most), and
+    this times the duration: the logarithm of the factor by which they grow."""
+    if not _may_be_stiff(context.model):
+        return 0.0, 0.0
+    problem, states = _at_data(context, parameters, theta)
+    packed, worst = problem.packed, (0.0, 0.0)
+    for k, item in enumerate(context.trajectories.items[:LOOKED_AT]):
+        rows = np.flatnonzero(packed.row_trajectory == k)
+        modes = _modes(problem, parameters, theta, states, rows[:: max(1, len(rows) // MOST_ROWS)])
+        rate = float(modes.real.max(axis=1).mean()) if len(modes) else 0.0
+        worst = max(worst, (rate, rate * (item.end - item.start)), key=lambda each: each[1])
+    return worst
+
+
+def _at_data(context: Context, parameters: Parameters, theta: Array) -> tuple[Problem, Array]:
+    """The problem, and the states [R, n_states] at its key rows by the curves through the data."""
     problem = context.problem()
-    packed, curves = problem.packed, imputed_forcing(context, problem)
+    curves = imputed_forcing(context, problem)
     starts = parameters.starts(torch.from_numpy(theta)).numpy()
-    states = np.where(curves.weight > 0, curves.value, starts[packed.row_trajectory])
-    return _fastest(problem, parameters, theta, states, np.arange(packed.rows))
+    return problem, np.where(curves.weight > 0, curves.value, starts[problem.packed.row_trajectory])
 
 
 def _fastest(problem: Problem, parameters: Parameters, theta: Array, states: Array, rows: Integers) -> Array:
     """The rates of the fastest modes at the states [R, n_states] of some key rows, as from `decays`."""
+    modes = _modes(problem, parameters, theta, states, rows)
+    if not modes.size:
+        return np.zeros(0)
+    fastest = modes[np.arange(len(modes)), np.abs(modes).argmax(axis=1)]
+    return np.where(fastest.real < 0, np.abs(fastest), 0.0)
+
+
+def _modes(
+    problem: Problem, parameters: Parameters, theta: Array, states: Array, rows: Integers
+) -> NDArray[np.complex128]:
+    """The eigenvalues of the Jacobian of the equations at some key rows, where it is finite."""
     packed, vector = problem.packed, torch.from_numpy(theta)
     owner = packed.row_trajectory[rows]
     constants = tuple(parameters.constants(vector)[owner].unbind(1))
@@ -134,31 +172,57 @@ def _fastest(problem: Problem, parameters: Parameters, theta: Array, states: Arr
     at = map(torch.from_numpy, (packed.row_time[rows], states[rows], packed.row_inputs[rows]))
     found = rate_slopes(rhs, *at).detach().numpy()
     found = found[np.isfinite(found).all(axis=(1, 2))]
-    if not found.size:
-        return np.zeros(0)
-    modes = np.linalg.eigvals(found)
-    fastest = modes[np.arange(len(modes)), np.abs(modes).argmax(axis=1)]
-    return np.where(fastest.real < 0, np.abs(fastest), 0.0)
+    return np.asarray(np.linalg.eigvals(found) if found.size else np.zeros((0, 0)), dtype=np.complex128)
+
+
+def times_step(
+    context: Context, problem: Problem, parameters: Parameters, theta: Array, fraction: float, states: Array
+) -> tuple[float, float]:
+    """The rate of the fastest decay at a tenth of the `states` [R, n_states] of solutions, and this times the fixed
+    step; zeros where steps are adaptive, or where nothing is said of stiffness."""
+    if context.adaptive or not _may_be_stiff(context.model):
+        return 0.0, 0.0
+    rows = np.arange(problem.packed.rows)[:: max(1, problem.packed.rows // MOST_ROWS)]
+    rates = _fastest(problem, parameters, theta, states, rows[np.isfinite(states[rows]).all(axis=1)])
+    fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    return fast, fast * context.max_step * fraction
+
+
+def unstable_as_learned(context: Context, parameters: Parameters, theta: Array) -> list[str]:
+    """A sentence if errors grow so much within a trajectory that no whole solution can follow the data."""
+    rate, product = growth(context, parameters, theta)
+    if not product > HOPELESS:
+        return []
+    return [
+        f"the equations are unstable at the data: errors grow at a rate of {rate:.3g}, by a factor of "
+        f"1e{product / np.log(10):.0f} within a trajectory, so that no solution from an initial state can follow them, "
+        f"whatever the constants. Cut the trajectories into pieces no longer than {SHORT / rate:.2g} (by names in the "
+        "column `trajectory`; each has its own start), or describe disturbances by `diffusion`, with which rows are "
+        "predicted from those before"
+    ]
 
 
 def stiff_as_learned(
     context: Context, problem: Problem, parameters: Parameters, theta: Array, fraction: float, states: Array
 ) -> list[str]:
-    """A sentence if the equations are stiff for the fixed steps of a fit at its `states` [R, n_states], with the
-    functions that were learned: their slope does not show before the fit."""
-    model = context.model
-    if context.adaptive or not _may_be_stiff(model):
-        return []
-    rows = np.arange(problem.packed.rows)[:: max(1, problem.packed.rows // MOST_ROWS)]
-    rates = _fastest(problem, parameters, theta, states, rows[np.isfinite(states[rows]).all(axis=1)])
-    fast, step = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0, context.max_step * fraction
-    if not step * fast > LIMIT:
-        return []
-    return [
-        f"as learned, the equations are stiff: at its solutions they have rates of {fast:.3g}, which times the step of "
-        f"{step:.3g} is {step * fast:.3g}, and an explicit method is stable up to {LIMIT}; fit again with `--solver "
-        f"{STIFF.name}`, or with a smaller `--max-step`"
-    ]
+    """A sentence if the equations are stiff for the fixed steps of a fit at its `states` [R, n_states], as learned: the
+    slope of a function does not show before the fit, and constants may have moved to where steps are just stable."""
+    fast, product = times_step(context, problem, parameters, theta, fraction, states)
+    step = context.max_step * fraction
+    remedy = f"fit again with `--solver {STIFF.name}`, or with a smaller `--max-step`"
+    times = f"rates of {fast:.3g}, which times the step of {step:.3g} is {product:.3g}"
+    if product > LIMIT:
+        return [
+            f"as learned, the equations are stiff: at its solutions they have {times}, and an explicit method is "
+            f"stable up to {LIMIT}; {remedy}"
+        ]
+    if product > NEAR * LIMIT and not context.model.networks and context.options.max_step is None:
+        return [
+            f"the solutions are at the limit of the solver's stability: they have {times}, and an explicit method is "
+            f"stable up to {LIMIT}. Constants may be where they are for this reason, and their intervals too narrow; "
+            f"{remedy}"
+        ]
+    return []
 
 
 def _may_be_stiff(model: Model) -> bool:

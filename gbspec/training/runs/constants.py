@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -85,11 +85,14 @@ def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, 
     return {a: {b: float(mean[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)}
 
 
-def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
+def moving_together(
+    correlations: Mapping[str, Mapping[str, float]], certain: Collection[str] = frozenset()
+) -> list[str]:
     """Warnings about strongly correlated constants: pairs, then groups that contain no such pair.
 
     A group consists of the constants in an eigenvector of the correlation matrix whose eigenvalue is below
-    1 - TOGETHER, the value of a pair at the limit: along this direction the data determine the constants worst.
+    1 - TOGETHER, the value of a pair at the limit: this combination of estimates is known far better than they are,
+    so that they move together. Nothing is said of those that are all `certain` nevertheless.
     """
     names = list(correlations)
     table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
@@ -98,14 +101,18 @@ def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str
         f"`{names[i]}` and `{names[j]}` are strongly correlated (correlation {table[i, j]:.3f}): "
         "the data determine a combination of them better than either"
         for i, j in pairs
+        if not {names[i], names[j]} <= set(certain)
     ]
     values, vectors = np.linalg.eigh(table)
     for value, direction in zip(values, vectors.T, strict=True):
         group = [i for i in range(len(names)) if abs(direction[i]) > NEGLIGIBLE]
-        if value < 1 - TOGETHER and not any(i in group and j in group for i, j in pairs):
-            listed = ", ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
+        known = {names[i] for i in group} <= set(certain)
+        if value < 1 - TOGETHER and not known and not any(i in group and j in group for i, j in pairs):
+            listed = " ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
+            together = ", ".join(f"`{names[i]}`" for i in group)
             warnings.append(
-                f"the data hardly determine the direction {listed} (in standard deviations): fix one of these"
+                f"{together} are strongly correlated: the data determine the combination {listed} (in standard "
+                "deviations) better than each of them; give one of them its value, or a prior, if it is known"
             )
     return warnings
 

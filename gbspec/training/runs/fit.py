@@ -52,6 +52,7 @@ from gbspec.training.runs.verdict import (
     autocorrelations,
     inseparable,
     inseparable_by_one,
+    outlying,
     unrested,
     verdicts,
 )
@@ -367,12 +368,14 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
         for member, name, bound in ended
     ]
+    constants = {k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables}
+    together = moving_together(correlations, [name for name, each in constants.items() if each.certain])
     return replace(
         record,
-        constants={k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables},
+        constants=constants,
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
-        warnings=(*warnings_of(results, options, model), *moving_together(correlations), *bounds),
+        warnings=(*warnings_of(results, options, model), *together, *bounds),
         correlations=correlations,
         objective=best.objective,
         population=best.population,
@@ -434,11 +437,12 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
 
 
 def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
-    """What is said of autocorrelated residuals, also of a fit that did not rest, so that its intervals are unknown."""
+    """What is said of outliers and autocorrelated residuals, also of a fit without intervals, since it did not rest."""
+    far = outlying(result.channels, model, result.rmse)
     if not result.sd or any(np.isfinite(sd) for sd in result.sd.values()):
-        return autocorrelations(result.channels, model, result.rmse)
+        return [*far, *autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []
     full = [one for one in result.stages if one.iterations == most_iterations(one.name, options.effort) > 1]
     last = f" (`{full[-1].name}` ended after its {full[-1].iterations} iterations)" if full else ""
-    return unrested(result.channels, last)
+    return [*far, *unrested(result.channels, last)]

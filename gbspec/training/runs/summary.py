@@ -24,8 +24,18 @@ from gbspec.training.problem import (
     measured_only,
     residuals_of,
 )
-from gbspec.training.recipe import Context, astray, held_out_solutions, step_fraction, stiff_as_learned
+from gbspec.training.recipe import (
+    Context,
+    astray,
+    held_out_solutions,
+    step_fraction,
+    stiff_as_learned,
+    unstable_as_learned,
+)
 from gbspec.training.stages import StageName
+
+FAR, FEW, ENOUGH = 6.0, 0.05, 20
+"""Residuals beyond `FAR` robust deviations are far from all others, if they are at most `FEW` of at least `ENOUGH`."""
 
 
 @dataclass
@@ -97,11 +107,13 @@ def summarise(
     values = constants.numpy()[:, known:].mean(axis=0)
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
+    channels = _channels(context, parameters, theta, problem, solution.mean, fraction)
+    lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
     return MemberResult(
         context.seed,
         mean_loss(measured_only(problem, residuals_of(problem, solution.mean))),
         mean_loss(residual_vector(context.engine(parameters, 1.0, fraction), theta)),
-        _channels(context, parameters, theta, problem, solution.mean, fraction),
+        channels,
         rmse,
         noise,
         dict(zip(names, map(float, values), strict=True)),
@@ -112,6 +124,7 @@ def summarise(
         list(context.packed().labels),
         failed,
         left=[
+            *(unstable_as_learned(context, parameters, theta) if lost else []),
             *_left(model, solution),
             *only_at_its_step(context, parameters, theta, fraction, failed),
             *stiff_as_learned(context, problem, parameters, theta, fraction, solution.before),
@@ -174,8 +187,18 @@ def _channels(
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
             *autocorrelation_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
+            outliers=_outliers(residuals[rows, i]),
         )
     return out
+
+
+def _outliers(residuals: Array) -> int | None:
+    """The number of residuals beyond `FAR` robust deviations, if there are few and they leave most of the sum of
+    squares; None otherwise."""
+    far = np.abs(residuals) > FAR * _robust_deviation(residuals)
+    if len(residuals) < ENOUGH or not np.isfinite(residuals).all() or not 0 < far.sum() <= FEW * len(residuals):
+        return None
+    return int(far.sum()) if np.sum(residuals[far] ** 2) > 0.5 * np.sum(residuals**2) else None
 
 
 def _r2(problem: Problem, mean: Array, channel: int) -> float | None:

@@ -64,6 +64,24 @@ def above_stated(noise: Mapping[str, float], model: Model) -> list[str]:
     return out
 
 
+def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: Mapping[str, float]) -> list[str]:
+    """A warning for each channel of which few residuals leave most of the sum of squares, with what to write."""
+    out = []
+    for channel in model.channels if model is not None and not model.marginal else ():
+        found = channels.get(channel.name)
+        if found is None or not found.outliers or found.r2 is None or 1 - found.r2 <= EXACT:
+            continue
+        name, size = channel.name, rmse.get(channel.name, math.nan)
+        start = f"{0.3 * size:.1g}" if math.isfinite(size) and size > 0 else "0.1"
+        out.append(
+            f"{found.outliers} of {found.values} residuals of `{name}` are far from all others, and leave most of the "
+            "sum of squares: they are outliers, or rows that the model does not follow. As outliers they move the fit "
+            f"and widen its intervals: leave these cells empty, or write `observe {name} … noise student(s_{name}, 4)` "
+            f"with `learn s_{name} = {start} > 0`"
+        )
+    return out
+
+
 def widening(channels: Mapping[str, ChannelRecord]) -> float:
     """The factor by which intervals of constants and functions are widened where residuals are autocorrelated.
 

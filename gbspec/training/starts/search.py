@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import (
@@ -28,6 +29,7 @@ from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outco
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts.own_constants import refit_own
+from gbspec.training.starts.sizes import solved_starts
 
 SAME, CLOSE = 1e-3, 1e-10
 """Losses of the same minimum differ by less than this, relatively or absolutely."""
@@ -50,6 +52,11 @@ LARGEST = 10**7
 """Largest number of entries of all draws."""
 OFTEN = 4
 """How much more often a minimum has to be found whose residuals do not look like noise: a better one may exist."""
+
+APART = 0.2
+"""Minima are compared if a constant differs by more than this, relatively."""
+MOST_MINIMA = 4
+"""So many minima that are equally good are remembered."""
 
 
 @dataclass(frozen=True)
@@ -96,15 +103,21 @@ class Search:
     """One start in each step: the given vector, the declared starting values, then the draws from the best one on.
 
     Every third start is first improved with teacher forcing by `forced`: errors from one measurement to the next have
-    fewer minima than those of whole solutions, whose best one they often lead to.
+    fewer minima than those of whole solutions, whose best one they often lead to. The initial values of states of
+    unknown size (`unsized`) are solved for at each draw: they go with its constants.
     """
 
     name = StageName.SEARCH.value
 
-    def __init__(self, engine: Engine, forced: Engine | None, seed: int, effort: Effort) -> None:
+    def __init__(
+        self, engine: Engine, forced: Engine | None, seed: int, effort: Effort, unsized: Mask | None = None
+    ) -> None:
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
+        self.unsized = unsized
         self.patience = patience_of(effort, engine)
         columns = self.parameters.n_shared + self.parameters.n_local
+        self.indistinct = min(SAME, 1 / max(int(engine.problem.seen.sum()), 1))
+        """Relative differences of objectives by which the data do not tell two minima apart: 1 in -2 log likelihood."""
         self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
 
     def begin(self, theta: Array) -> State:
@@ -122,6 +135,8 @@ class Search:
             "best": np.array(self._objective(candidates[best])),
             "starts": candidates[order[: self.total]],
             "found": np.zeros(0),
+            "minima": np.zeros((0, candidates.shape[1])),
+            "values": np.zeros(0),
             "survived": np.array(float(np.isfinite(losses).sum())),
             "drawn": np.array(float(len(losses))),
             "endless": np.array(float(sum(self._endless(candidates[i]) for i in np.flatnonzero(~np.isfinite(losses))))),
@@ -156,19 +171,66 @@ class Search:
             theta, best = vector, reached
         found = np.append(state["found"], reached)
         count = int(np.sum(found <= best * (1 + SAME) + CLOSE))
+        minima = self._minima(state, reached, vector, best)
         times = self.patience.times * (1 if self._plausible(theta, best) else OFTEN)
         enough = len(found) >= self.patience.least and count >= times
         done = enough or iteration + 1 >= len(starts)
         if done:
-            theta, best = self._best_of_own(theta, best)
+            theta, best = self._best_of_own(self._preferred(minima, theta, best), best)
         endless = int(state.get("endless", 0))
         why = f" (in {endless} events follow each other without end)" if endless else ""
         remark = (
             f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {len(found)} improved, "
             f"the best minimum found {count} time{'' if count == 1 else 's'}"
         )
-        new: State = state | {"theta": theta, "best": np.array(best), "found": found}
-        return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, remark=remark)
+        new: State = state | {"theta": theta, "best": np.array(best), "found": found, **minima}
+        note = self._others(minima, theta) if done else ""
+        return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, note, remark)
+
+    # ---------------------------------------------------------------- minima that are equally good
+    def _minima(self, state: State, reached: float, vector: Array, best: float) -> State:
+        """The minima as good as the best one, and their objectives, with the one that was just reached if it is new."""
+        minima = state.get("minima", np.zeros((0, len(vector))))  # a search that an older version began has none
+        values = state.get("values", np.zeros(0))
+        as_good = best * (1 + self.indistinct) + EXACT
+        if reached <= as_good and len(minima) < MOST_MINIMA and all(self._apart(vector, one) for one in minima):
+            minima, values = np.concatenate([minima, vector[None]]), np.append(values, reached)
+        kept = values <= as_good
+        return {"minima": minima[kept], "values": values[kept]}
+
+    def _apart(self, one: Array, other: Array) -> bool:
+        """Whether two vectors are separate minima: a constant differs clearly, and half-way between them is worse."""
+        first, second = self._shared(one), self._shared(other)
+        if not (np.abs(first - second) > APART * np.maximum(np.abs(first), np.abs(second))).any():
+            return False
+        highest = max(self._objective(one), self._objective(other))
+        return not self._objective(0.5 * (one + other)) <= highest * (1 + self.indistinct) + EXACT
+
+    def _shared(self, theta: Array) -> Array:
+        """The constants that all trajectories share, in natural units."""
+        scale = self.parameters.bijections(self.parameters.shared)
+        return np.asarray(scale.to_natural(torch.from_numpy(theta[self.parameters.places])).numpy())
+
+    def _preferred(self, minima: State, theta: Array, best: float) -> Array:
+        """Of equally good minima the one nearest to the declared starting values: the data do not choose."""
+        if len(minima["minima"]) < 2:
+            return theta
+        declared = self.parameters.vector(self.parameters.natural(theta))[self.parameters.places]
+        distances = np.linalg.norm(minima["minima"][:, self.parameters.places] - declared, axis=1)
+        return np.asarray(minima["minima"][int(np.argmin(distances))])
+
+    def _others(self, minima: State, theta: Array) -> str:
+        """A warning of minima that are as good as the one that was taken."""
+        learnables = self.parameters.model.learnables
+        names = [learnables[i].name for i in self.parameters.shared]
+        others = [self._shared(one) for one in minima["minima"] if self._apart(one, theta)]
+        texts = [", ".join(f"{name} {value:.3g}" for name, value in zip(names, one, strict=True)) for one in others]
+        if not texts:
+            return ""
+        return (
+            f"other constants fit the data equally well: {'; or '.join(texts)}. The one nearest to the declared "
+            "starting values was taken; narrower bounds, a prior or a starting value say which is meant"
+        )
 
     def _plausible(self, theta: Array, best: float) -> bool:
         """Whether the residuals at a vector look like noise."""
@@ -193,7 +255,7 @@ class Search:
             if i % 2:
                 blocks[:, len(parameters.own) :] += parameters.start_free * (2 * points[i, n_constants:] - 1)
             drawn[parameters.n_shared :] = blocks.ravel()
-            out.append(drawn)
+            out.append(drawn if self.unsized is None else solved_starts(self.engine, drawn, self.unsized))
         return np.array(out)
 
     def _blocks(self, theta: Array, drawn: Array) -> Array:
