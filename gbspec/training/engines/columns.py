@@ -130,15 +130,20 @@ class Columns:
         parameters = self.parameters
         known = len(parameters.model.constants)
         if parameters.shared and not self.only_local:
-            u = self.theta[parameters.places]
-            slope = self.tensor(parameters.bijections(parameters.shared).derivative(u))
             for column, index in enumerate(parameters.shared):
-                shared[..., parameters.n_weights + column] += derivatives[known + index] * slope[column]
-        if parameters.own:
-            u = self.theta[parameters.n_shared :].reshape(-1, parameters.n_local)[:, : len(parameters.own)]
-            slope = self.tensor(parameters.bijections(parameters.own).derivative(u))
-            for column, index in enumerate(parameters.own):
-                local[..., column] += derivatives[known + index] * slope[owner, column][:, None]
+                shared[..., parameters.n_weights + column] += derivatives[known + index] * self._slopes[0][column]
+        for column, index in enumerate(parameters.own):
+            local[..., column] += derivatives[known + index] * self._slopes[1][owner, column][:, None]
+
+    @cached_property
+    def _slopes(self) -> tuple[Tensor, Tensor]:
+        """Derivatives of natural values by trainable ones: of shared constants [n], and of each trajectory's own
+        [N, n]."""
+        parameters, theta = self.parameters, self.theta
+        own = theta[parameters.n_shared :].reshape(-1, parameters.n_local)[:, : len(parameters.own)]
+        each = (parameters.shared, theta[parameters.places]), (parameters.own, own)
+        found = [parameters.bijections(which).derivative(u) for which, u in each]
+        return self.tensor(np.ascontiguousarray(found[0])), self.tensor(np.ascontiguousarray(found[1]))
 
     def observed(self, before: Array, scale: Array) -> Observed:
         """Derivatives of the measured channels at the states `before` [R, n_states], each times its `scale` [R, C]."""

@@ -82,7 +82,10 @@ class Paths:
 
     def _arranged(self, parameters: Parameters, theta: Array) -> Path:
         """The packing, cut where doses arrive."""
-        time = self._problem.packed.doses.time
+        doses = self._problem.packed.doses
+        time = doses.time
+        if all(doses.known) and self._path is not None:
+            return self._path  # the times of arrival do not depend on the vector
         if len(time):
             with torch.no_grad():
                 constants = parameters.constants(torch.from_numpy(theta))

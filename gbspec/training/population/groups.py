@@ -20,6 +20,9 @@ from gbspec.arrays import Array
 from gbspec.training.population.layout import Layout
 from gbspec.training.problem import Integers
 
+TOGETHER = 1_000_000
+"""Units are processed together up to so many numbers of matrices with a row and a column for each of their values."""
+
 
 @dataclass(frozen=True)
 class Groups:
@@ -56,6 +59,11 @@ class Groups:
                 slot[n, own + e] = known[key]
         return cls(unit, slot, int(unit.max()) + 1, int(used.max()), True)
 
+    def copies(self, count: int) -> Groups:
+        """The groups of `count` copies of all trajectories, one after the other; copies share nothing."""
+        unit = np.arange(count)[:, None] * self.count + self.unit
+        return Groups(unit.ravel(), np.tile(self.slot, (count, 1)), count * self.count, self.size, self.shared)
+
     def numbers(self, z: Tensor) -> Tensor:
         """The numbers [N, q + E] of trajectories from those of units [units, size]."""
         return z[torch.from_numpy(self.unit)[:, None], torch.from_numpy(self.slot)] if self.shared else z
@@ -81,6 +89,19 @@ class Groups:
         if not self.shared:
             return matrix
         return np.asarray(matrix[self.unit[:, None, None], self.slot[:, :, None], self.slot[:, None, :]])
+
+
+def alike(unit: Integers, known: Integers) -> list[Integers]:
+    """The values `known` [k] of the units `unit` [m] as tables [units, values] of units with equally many values, which
+    are processed together."""
+    order = known[np.argsort(unit[known], kind="stable")]
+    _, first, count = np.unique(unit[order], return_index=True, return_counts=True)
+    tables = []
+    for size in np.unique(count).tolist():
+        starts = first[count == size]
+        for some in np.array_split(starts, -(-len(starts) * size**2 // TOGETHER)):
+            tables.append(order[some[:, None] + np.arange(size)])
+    return tables
 
 
 def _connected(values: list[Integers], number: int) -> Integers:

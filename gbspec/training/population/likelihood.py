@@ -37,6 +37,8 @@ from gbspec.training.population.predictions import Predictions
 LOG_2PI = float(np.log(2 * np.pi))
 FARTHEST = 1e100
 """Predictions at the nodes of a quadrature are at most so large: steps may be too long for constants far out."""
+TOGETHER = 4096
+"""Copies of trajectories are solved together up to so many: more would not be faster, and take more memory."""
 ITERATIONS = 60
 """Largest number of iterations of the inner problems."""
 AWAY = 1.5
@@ -70,10 +72,11 @@ class Compared:
 class Likelihood:
     """The densities of a population's measured values at natural parameters [N, P], one row for each trajectory."""
 
-    def __init__(self, layout: Layout, predictions: Predictions) -> None:
+    def __init__(self, layout: Layout, predictions: Predictions, groups: Groups | None = None) -> None:
         self.layout, self.predictions = layout, predictions
         measured = predictions.measured
-        self.groups = Groups.of(layout, predictions.problem.packed.condition)
+        self.groups = Groups.of(layout, predictions.problem.packed.condition) if groups is None else groups
+        self._copies: dict[int, Likelihood] = {1: self}
         self.trajectories, self.count = measured.trajectories, self.groups.count
         self.owner = torch.from_numpy(measured.owner)
         self.unit = torch.from_numpy(self.groups.unit[measured.owner])
@@ -91,6 +94,20 @@ class Likelihood:
         # The density of a value whose logarithm is normal has the factor 1/value.
         jacobian = np.where(measured.logarithm & (measured.side == 0), 2 * measured.value, 0.0)
         self.constant = self.sums(torch.from_numpy(jacobian))
+
+    def copies(self, count: int) -> Likelihood:
+        """The likelihood of `count` copies of all trajectories, which are solved side by side; row i of copy c is row
+        c N + i."""
+        if count not in self._copies:
+            groups = self.groups.copies(count)
+            self._copies[count] = Likelihood(self.layout, self.predictions.copies(count), groups)
+        return self._copies[count]
+
+    def shares(self, total: int) -> list[int]:
+        """How many of `total` copies are solved together: equal numbers, with fewer in the last."""
+        times = -(-total * self.trajectories // TOGETHER)
+        each = -(-total // max(1, min(times, total)))
+        return [min(each, total - begin) for begin in range(0, total, each)]
 
     def sums(self, values: Tensor) -> Tensor:
         """Sums of values [m, ...] over each unit [units, ...]."""
@@ -193,9 +210,8 @@ class Likelihood:
         """The comparison with first derivatives alone; not differentiable."""
         with torch.no_grad():
             constants, slope = self.individual(natural, z)
-        found = self.predictions.individuals.first(constants.numpy(), weights)
-        sensitivity = torch.from_numpy(found.constants[:, self.layout.place])
-        return self.compared(torch.from_numpy(found.mean), sensitivity, slope, natural)
+        mean, sensitivity = self.predictions.first(constants.numpy(), weights)
+        return self.compared(torch.from_numpy(mean), torch.from_numpy(sensitivity), slope, natural)
 
     def plain(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
         """The comparison without sensitivities, which are 0: enough for the density. Where a solution grows beyond all

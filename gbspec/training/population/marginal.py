@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import torch
@@ -28,9 +27,11 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.training.population import student
+from gbspec.training.population.groups import alike
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.likelihood import FARTHEST, Compared, Likelihood, bounded
+from gbspec.training.population.likelihood import Compared, Likelihood
 from gbspec.training.population.predictions import Predictions
+from gbspec.training.population.quadrature import Quadrature
 from gbspec.training.population.sweeps import by_constants
 from gbspec.training.problem import Integers
 
@@ -65,13 +66,7 @@ class Marginal:
     def __init__(self, layout: Layout, predictions: Predictions, nodes: int = 1) -> None:
         self.layout, self.predictions, self.nodes = layout, predictions, nodes
         self.likelihood = Likelihood(layout, predictions)
-        points, masses = np.polynomial.hermite.hermgauss(nodes)
-        q = self.likelihood.groups.size
-        grid = list(product(range(nodes), repeat=q))
-        self.points = torch.tensor([[points[i] for i in at] for at in grid], dtype=torch.float64).reshape(len(grid), q)
-        self.log_mass = torch.tensor(
-            [sum(np.log(masses[i]) + points[i] ** 2 for i in at) for at in grid], dtype=torch.float64
-        )
+        self.quadrature = Quadrature(self.likelihood, nodes) if nodes > 1 else None
 
     def rows(self, u: Array) -> Tensor:
         """u as one row for each trajectory [N, P]."""
@@ -84,29 +79,12 @@ class Marginal:
         solve = self.likelihood.lowest if afresh and len(weights) else self.likelihood.modes
         modes, of = solve(natural, torch.from_numpy(z), weights)
         hessian = self.likelihood.expected_hessian(of)
-        if self.nodes == 1:
+        if self.quadrature is None:
             each = self.likelihood.joint(of, modes) + _log_det(hessian)
         else:
-            nodes = self._at(modes, hessian)
-            parts = [self.likelihood.joint(self.likelihood.plain(natural, at, weights), at) for at in nodes]
-            each = self._quadrature(torch.stack(parts), hessian)
+            joint = self.quadrature.joint(natural, self.quadrature.at(modes, hessian), weights)
+            each = self.quadrature.total(joint) + _log_det(hessian)
         return Value(each.numpy(), modes.numpy())
-
-    def _at(self, modes: Tensor, hessian: Tensor) -> list[Tensor]:
-        """The nodes [N, q] around the modes: z* + sqrt(2) C^-T x with H = C C^T."""
-        # Where H is not finite, the logarithm of its determinant is not a number either, and the point is rejected.
-        found, info = torch.linalg.cholesky_ex(hessian)
-        factor = torch.where((info == 0)[:, None, None], found, torch.eye(hessian.shape[1], dtype=hessian.dtype))
-        moved = torch.linalg.solve_triangular(
-            factor.transpose(1, 2), self.points.T.expand(len(modes), -1, -1), upper=True
-        )
-        return [modes + 2**0.5 * moved[:, :, i] for i in range(len(self.points))]
-
-    def _quadrature(self, joint: Tensor, hessian: Tensor) -> Tensor:
-        """Minus twice the logarithm of the integral from g at the nodes [nodes, N]."""
-        logs = torch.logsumexp(self.log_mass[:, None] - 0.5 * joint, 0)
-        # (2 pi)^(-q/2) of z and 2^(q/2) of the change of variables leave pi^(-q/2).
-        return -2 * logs + _log_det(hessian) + self.likelihood.groups.size * float(np.log(np.pi))
 
     # ---------------------------------------------------------------- derivatives
     def slopes(self, u: Array, weights: Array, z: Array) -> Slopes:
@@ -121,9 +99,9 @@ class Marginal:
             return _slopes(likelihood.joint(of, at).sum(), rows, w)
         with by_constants(self.predictions.second):
             second = torch.stack([_grad(gradient[:, i].sum(), at) for i in range(q)], 1)
-            moved = _grad(log_det.sum(), at) if self.nodes == 1 else at
-        if self.nodes > 1:
-            return self._quadrature_slopes(rows, w, at.detach(), gradient, second)
+            moved = _grad(log_det.sum(), at) if self.quadrature is None else at
+        if self.quadrature is not None:
+            return self._quadrature_slopes(self.quadrature, rows, w, at.detach(), gradient, second)
         direction = torch.linalg.solve(_definite(second, likelihood.expected_hessian(of).detach()), moved[..., None])
         total = likelihood.joint(of, at) + log_det - (direction[..., 0].detach() * gradient).sum(1)
         return _slopes(total.sum(), rows, w)
@@ -134,7 +112,9 @@ class Marginal:
         mean, sensitivity = self.predictions.second(constants, weights)
         return self.likelihood.compared(mean, sensitivity, slope, natural), natural
 
-    def _quadrature_slopes(self, rows: Tensor, w: Tensor, z: Tensor, gradient: Tensor, second: Tensor) -> Slopes:
+    def _quadrature_slopes(
+        self, quadrature: Quadrature, rows: Tensor, w: Tensor, z: Tensor, gradient: Tensor, second: Tensor
+    ) -> Slopes:
         """The gradient of the quadrature, whose nodes move with the modes and with H."""
         at = z.clone().requires_grad_()
         of, _ = self._compared(rows, at, w)
@@ -147,27 +127,13 @@ class Marginal:
         follow = torch.stack([torch.stack([(d.detach() * step).sum(1) for d in row], 1) for row in by_z], 1)
         moving, modes = hessian + follow, z + step
         natural = self.layout.natural(rows)
+        nodes = quadrature.at(modes, moving)
         safe = self.likelihood.individual(natural.detach(), z)[0].numpy()
-        parts = []
-        for node in self._at(modes, moving):
-            constants, slope = self.likelihood.individual(natural, node)
-            mean = self._first(constants, w, safe)
-            plain = mean[:, None].expand(-1, self.layout.effects)
-            parts.append(self.likelihood.joint(self.likelihood.compared(mean, plain, slope, natural), node))
-        return _slopes(self._quadrature(torch.stack(parts), moving).sum(), rows, w)
-
-    def _first(self, constants: Tensor, weights: Tensor, safe: Array) -> Tensor:
-        """Predictions [m] to first order in constants and weights; without derivatives for trajectories whose solution
-        is not bounded there: in their place are those with the constants `safe` [N, K]."""
-        at, owner, w = constants.detach().numpy(), self.likelihood.owner, weights.detach().numpy()
-        individuals = self.predictions.individuals
-        mean = bounded(torch.from_numpy(individuals.mean(at, w)))
-        bad = np.zeros(len(at), dtype=np.bool_)
-        bad[owner[mean.abs() >= FARTHEST].numpy()] = True
-        found = individuals.first(np.where(bad[:, None], safe, at), w, of_weights=True)
-        moved = (torch.from_numpy(found.constants) * (constants - constants.detach())[owner]).sum(1)
-        moved = moved + torch.from_numpy(found.weights) @ (weights - weights.detach())
-        return torch.where(torch.from_numpy(bad)[owner], mean, torch.from_numpy(found.mean) + moved)
+        found = quadrature.slopes(natural.detach(), nodes.detach(), w.detach(), safe)
+        total = _log_det(moving).sum() + sum(
+            (slope * value).sum() for slope, value in zip(found, (natural, nodes, w), strict=True)
+        )
+        return _slopes(total, rows, w)
 
     # ---------------------------------------------------------------- information
     def information(self, u: Array, weights: Array, z: Array) -> Array:
@@ -199,10 +165,10 @@ class Marginal:
     def _mean_slopes(self, u: Array, z: Tensor, by_constants: Array) -> Array:
         """Derivatives [m, P] of predictions by u at fixed z; spreads and correlations move only the variance."""
 
-        def table(row: Tensor) -> Tensor:
-            return self.layout.constants(self.layout.natural(row.expand(len(z), -1)), z)[0]
-
-        jacobian = torch.autograd.functional.jacobian(table, torch.from_numpy(u)).numpy()  # type: ignore[no-untyped-call]  # torch does not annotate it
+        rows = self.rows(u).clone().requires_grad_()
+        table = self.layout.constants(self.layout.natural(rows), z)[0]
+        # Constants of a trajectory depend on its own row alone.
+        jacobian = np.stack([_grad(column.sum(), rows).numpy() for column in table.unbind(1)], 1)
         out = np.einsum("mk,mkp->mp", by_constants, jacobian[self.predictions.measured.owner])
         out[:, list(self._of_variance)] = 0.0
         return np.asarray(out, dtype=np.float64)
@@ -281,28 +247,31 @@ def _information(owner: Integers, of: _Linearised, known: Integers) -> Array:
     noise = of.noise
     total, weights = np.zeros((of.mean.shape[1],) * 2), of.mean.shape[1] - noise.shape[1]
     places = sorted({*np.flatnonzero(np.abs(noise).any(axis=0)).tolist(), *of.spread})
-    order = known[np.argsort(owner[known], kind="stable")]
-    for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
-        if not len(rows):
-            continue
+    for rows in alike(owner, known):
         f = of.by_z[rows]
-        inverse = np.linalg.inv(np.diag(of.variance[rows]) + f @ f.T)
-        a, left = of.mean[rows], np.diag(inverse) * of.variance[rows]
-        total += a.T @ inverse @ a
-        more = left[:, None] * of.further[rows]
+        diagonal = of.variance[rows][:, :, None] * np.eye(rows.shape[1])
+        inverse = np.linalg.inv(diagonal + f @ f.swapaxes(1, 2))
+        a, left = of.mean[rows], np.diagonal(inverse, axis1=1, axis2=2) * of.variance[rows]
+        total += np.einsum("nap,nab,nbq->pq", a, inverse, a, optimize=True)
+        more = (left[:, :, None] * of.further[rows]).reshape(-1, noise.shape[1])
         total[weights:, weights:] += more.T @ more
-        parts = {p: np.diag(noise[rows, p]) for p in places}
-        for p, moved in of.spread.items():
-            across = f @ moved[rows].T
-            parts[p] = parts[p] + across + across.T
-        scaled = {p: inverse @ part for p, part in parts.items()}
+        scaled = [inverse @ _moved_variance(of, rows, p) for p in places]
         for i, p in enumerate(places):
-            for s in places[i:]:
-                value = 0.5 * float(np.sum(scaled[p] * scaled[s].T))
+            for j, s in enumerate(places[i:], i):
+                value = 0.5 * float(np.sum(scaled[i] * scaled[j].swapaxes(1, 2)))
                 total[weights + p, weights + s] += value
                 if s != p:
                     total[weights + s, weights + p] += value
     return total
+
+
+def _moved_variance(of: _Linearised, rows: Integers, place: int) -> Array:
+    """The derivative [n, k, k] of the covariances of values `rows` [n, k] by one parameter."""
+    out = of.noise[rows, place][:, :, None] * np.eye(rows.shape[1])
+    if place not in of.spread:
+        return out
+    across = of.by_z[rows] @ of.spread[place][rows].swapaxes(1, 2)
+    return np.asarray(out + across + across.swapaxes(1, 2), dtype=np.float64)
 
 
 def _log_det(matrix: Tensor) -> Tensor:

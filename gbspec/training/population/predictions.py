@@ -19,7 +19,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array, Mask
 from gbspec.backends import load_module
-from gbspec.ir import METHODS, Model, Range, logarithmic
+from gbspec.ir import METHODS, Explicit, Model, Range, logarithmic
 from gbspec.training.engines import Choice, Engine, TorchEngine
 from gbspec.training.population.sensitivity import extended, repacked
 from gbspec.training.population.sweeps import Sweeps, covered
@@ -78,7 +78,7 @@ class Individuals:
 
     def __init__(self, problem: Problem, model: Model, start: Array, fixed: dict[str, Array], choice: Choice) -> None:
         shape = (problem.packed.trajectories, len(model.states))
-        self.problem = problem
+        self.problem = problem = _unscaled(problem)
         value = np.broadcast_to(start, shape).copy()
         self.parameters = Parameters(individual_model(model), value, np.ones(shape[1]), np.zeros(shape), fixed)
         self.engine: Engine = choice.engine(problem, self.parameters)
@@ -132,6 +132,24 @@ class Individuals:
         theta = self.vector(constants, weights)
         return self.engine.moments(theta, self.engine.plan(theta)).mean[self.problem.seen]
 
+    def back(self, constants: Array, weights: Array, cotangent: Array) -> tuple[Array, Array]:
+        """The products of `cotangent` [m] with the derivatives by the constants [N, K] and by the weights [W], in one
+        pass forward and one back."""
+        theta, table = self.vector(constants, weights), np.zeros(self.problem.seen.shape)
+        table[self.problem.seen] = cotangent
+        with torch.enable_grad():  # the caller may be a function of torch, which has switched it off
+            found = self.engine.pullback(theta, self.engine.plan(theta), table)
+        local = found[self.parameters.n_shared :].reshape(self.parameters.trajectories, self.parameters.n_local)
+        return local[:, : len(self.unit)] / self.unit, found[: self.parameters.n_weights]
+
+
+def _unscaled(problem: Problem) -> Problem:
+    """The problem whose residuals are plain differences: what is pulled back are predictions."""
+    packed, channels = problem.packed, len(problem.model.channels)
+    scaling = Scaling(np.zeros(channels, dtype=bool), np.ones_like(packed.values), np.ones(channels))
+    limits = replace(packed.limits, side=np.zeros_like(packed.limits.side))
+    return replace(problem, scaling=scaling, packed=replace(packed, limits=limits))
+
 
 class Second(Protocol):
     """Predictions [m] and their sensitivities [m, q], differentiable in constants [N, K] and weights [W]."""
@@ -149,6 +167,26 @@ class Predictions:
         self.measured = Measured.of(problem)
         self.individuals = Individuals(problem, problem.model, parameters.start_value, dict(parameters.fixed), choice)
 
+    def first(self, constants: Array, weights: Array) -> tuple[Array, Array]:
+        """Predictions [m] and their sensitivities [m, q] to the distributed constants, at constants [N, K] and weights
+        [W]; NaN for the trajectories whose solution is not finite."""
+        if isinstance(self.second, _Sensitivities) and isinstance(METHODS[self.problem.module.solver], Explicit):
+            return self.second.plain(constants, weights)
+        found = self.individuals.first(constants, weights)
+        names = [k.name for k in self.problem.model.learnables]
+        return found.mean, found.constants[:, [names.index(name) for name in self.distributed]]
+
+    @cached_property
+    def order(self) -> Integers:
+        """The measured values trajectory by trajectory, in the order of time [m]."""
+        row, channel = np.nonzero(self.problem.seen)
+        return np.lexsort((channel, self.problem.packed.row_index[row], self.measured.owner))
+
+    def copies(self, count: int) -> Predictions:
+        """Those for `count` copies of all trajectories, one after the other."""
+        index = np.tile(np.arange(self.problem.packed.trajectories), count)
+        return Predictions(self.problem.take(index), self.parameters.take(index), self.choice, self.distributed)
+
     @cached_property
     def second(self) -> Second:
         """The predictions with second derivatives."""
@@ -160,10 +198,7 @@ class Predictions:
         model, times = made.model, 1 + len(self.distributed)
         packed = repacked(self.problem.packed, times, made.doses, model)
         module = load_module(model, METHODS[self.problem.module.solver]).random(0)
-        scaling = Scaling(
-            np.zeros(len(model.channels), dtype=bool), np.ones_like(packed.values), np.ones(len(model.channels))
-        )
-        problem = Problem(model, module, packed, teacher_forcing(model, packed, 0.0), scaling)
+        problem = Problem(model, module, packed, teacher_forcing(model, packed, 0.0), self.problem.scaling)
         start = np.concatenate(
             [
                 self.parameters.start_value,
@@ -211,6 +246,11 @@ class _Sensitivities:
         number[individuals.problem.seen] = np.arange(int(individuals.problem.seen.sum()))
         row, channel = np.nonzero(of.problem.seen)
         self.place = np.stack([number[row, channel + i * channels] for i in range(times)], 1)
+
+    def plain(self, constants: Array, weights: Array) -> tuple[Array, Array]:
+        """Predictions and sensitivities, without derivatives: one solution of the larger model."""
+        found = self.individuals.mean(constants, weights)[self.place]
+        return found[:, 0], found[:, 1:]
 
     def __call__(self, constants: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
         """Predictions and sensitivities."""

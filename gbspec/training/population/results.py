@@ -16,7 +16,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.training.population import student
 from gbspec.training.population.discrepancies import prediction_errors
-from gbspec.training.population.groups import Groups
+from gbspec.training.population.groups import Groups, alike
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared
 from gbspec.training.population.objective import Objective, Point
@@ -168,14 +168,13 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
     variance = np.where(heavy, student.equivalent(variance, freedom), variance)
     weighted = np.full(len(unit), np.nan)
     known = np.flatnonzero(predictions.measured.side == 0)  # a limit has no residual
-    order = known[np.argsort(unit[known], kind="stable")]
-    for rows in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
-        if not len(rows):
-            continue
+    for rows in alike(unit, known):
         f = by_z[rows]
-        values, vectors = np.linalg.eigh(np.diag(variance[rows]) + f @ f.T)
-        root = vectors @ np.diag(1 / np.sqrt(np.maximum(values, 1e-300))) @ vectors.T
-        weighted[rows] = root @ (residual[rows] + f @ point.z[unit[rows[0]]])
+        diagonal = variance[rows][:, :, None] * np.eye(rows.shape[1])
+        values, vectors = np.linalg.eigh(diagonal + f @ f.swapaxes(1, 2))
+        root = (vectors / np.sqrt(np.maximum(values, 1e-300))[:, None, :]) @ vectors.swapaxes(1, 2)
+        shifted = residual[rows] + np.einsum("nkz,nz->nk", f, point.z[unit[rows[:, 0]]])
+        weighted[rows] = np.einsum("nij,nj->ni", root, shifted)
     logs = predictions.measured.logarithm
     return {
         "value": np.where(logs, np.exp(predictions.measured.value), predictions.measured.value),
@@ -230,19 +229,27 @@ def _bins(times: Array) -> list[Integers]:
 def simulate(objective: Objective, point: Point, seed: int) -> Array:
     """Simulated values [replicates, m] at the design of the data."""
     layout, likelihood = objective.layout, objective.marginal.likelihood
-    predictions, rng = objective.marginal.predictions, np.random.default_rng([seed, 67])
+    rng = np.random.default_rng([seed, 67])
     count = max(20, min(REPLICATES, MOST // max(len(likelihood.value), 1)))
     natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
-    out = np.full((count, len(likelihood.value)), np.nan)
-    for i in range(count):
-        z = torch.from_numpy(rng.standard_normal((likelihood.count, likelihood.groups.size)))
+    out, begin = np.full((count, len(likelihood.value)), np.nan), 0
+    freedom, heavy = likelihood.freedom(natural).numpy(), likelihood.heavy.numpy()
+    for together in likelihood.shares(count):
+        numbers, errors = [], []
+        for _ in range(together):
+            numbers.append(rng.standard_normal((likelihood.count, likelihood.groups.size)))
+            error = rng.standard_normal(len(likelihood.value))
+            error[heavy] = student.draw(freedom[heavy], rng)
+            errors.append(error)
+        several = likelihood.copies(together)
+        rows = natural.repeat(together, 1)
         with torch.no_grad():
-            constants, slope = likelihood.individual(natural, z)
-        mean = torch.from_numpy(predictions.individuals.mean(constants.numpy(), point.weights))
-        of = likelihood.compared(mean, mean.new_zeros((len(mean), layout.effects)), slope, natural)
-        error = rng.standard_normal(len(mean))
-        heavy = likelihood.heavy.numpy()
-        error[heavy] = student.draw(of.freedom.numpy()[heavy], rng)
-        drawn = of.mean.numpy() + np.sqrt(of.variance.numpy()) * error
-        out[i] = np.where(likelihood.logs.numpy(), np.exp(np.minimum(drawn, 700)), drawn)
+            constants, slope = several.individual(rows, torch.from_numpy(np.concatenate(numbers)))
+        mean = torch.from_numpy(several.predictions.individuals.mean(constants.numpy(), point.weights))
+        of = several.compared(mean, mean.new_zeros((len(mean), layout.effects)), slope, rows)
+        place = np.empty((together, len(likelihood.value)), dtype=np.int64)
+        place[:, likelihood.predictions.order] = several.predictions.order.reshape(together, -1)
+        drawn = of.mean.numpy()[place] + np.sqrt(of.variance.numpy())[place] * np.array(errors)
+        out[begin : begin + together] = np.where(likelihood.logs.numpy(), np.exp(np.minimum(drawn, 700)), drawn)
+        begin += together
     return out

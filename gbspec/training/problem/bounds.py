@@ -147,14 +147,24 @@ class Bijections:
         """The maps of a model's learnables."""
         return Bijections(tuple(map(Bijection.of, learnables)))
 
+    @cached_property
+    def _scales(self) -> Array | None:
+        """The units of natural values [n], if none has a bound: then the maps are linear."""
+        bounded = any(math.isfinite(one.low) or math.isfinite(one.high) for one in self.each)
+        return None if bounded or not self.each else np.array([one.scale for one in self.each])
+
     def to_natural(self, u: Tensor) -> Tensor:
         """Natural values [..., n] of trainable values `u` [..., n]."""
         raw = STRETCH * u
+        if self._scales is not None:
+            return raw * raw.new_tensor(self._scales)
         parts = [one.natural(raw[..., i]) for i, one in enumerate(self.each)]
         return torch.stack(parts, -1) if parts else u
 
     def derivative(self, u: Array) -> Array:
         """d natural / d u, elementwise."""
+        if self._scales is not None:
+            return np.broadcast_to(STRETCH * self._scales, np.shape(u))
         x = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         if x.shape[-1] == 0:
             return np.zeros_like(u)
