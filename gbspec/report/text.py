@@ -216,6 +216,8 @@ def population_lines(run: Run) -> list[str]:
     said = f"-2 log likelihood {found.minus2ll:.4f} ({way}), {found.parameters:.4g} parameters"
     if found.aic is not None and found.bic is not None:
         said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
+    if found.exact_hessian is not None:
+        said += f"; with the exact Hessian {found.exact_hessian:.4f}"
     lines = [table(["distributed", "as", "median", "sd", "interval of sd", "shrinkage"], rows)] if rows else []
     pairs = [
         f"correlation of {a} and {b}: {value:.3f}"

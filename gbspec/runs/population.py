@@ -62,7 +62,9 @@ class ErrorsRecord:
 class PopulationRecord:
     """A fit by the marginal likelihood. `correlations` are of deviations. `parameters` is the number p of estimated
     numbers (of weights the effective one), `aic` is -2 log L + 2 p, `bic` -2 log L + p log(measured values);
-    `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks, and `npde` by channel."""
+    `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks, and `npde` by channel.
+    `exact_hessian` is -2 log L by Laplace's method with the exact inner Hessian at the same estimates (None: that is
+    not positive definite for some trajectory)."""
 
     minus2ll: float
     effects: Mapping[str, EffectRecord]
@@ -73,6 +75,7 @@ class PopulationRecord:
     nodes: int = 1
     ridge: float | None = field(default=None, metadata=OMITTED)
     npde: Mapping[str, ErrorsRecord] = field(default_factory=dict)
+    exact_hessian: float | None = None
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -332,14 +332,14 @@ def test_an_unknown_start_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "natural", "minus2ll"),
+    ("name", "natural", "minus2ll", "by_exact_hessian"),
     [
-        ("theophylline", (1.590, 2.7515, 31.81, 0.634, 0.263, 0.138, 0.694), 359.403),
-        ("phenobarbital", (0.00589, 1.442, 0.445, 0.449, 2.796), 1010.473),
+        ("theophylline", (1.590, 2.7515, 31.81, 0.634, 0.263, 0.138, 0.694), 359.403, 361.12),
+        ("phenobarbital", (0.00589, 1.442, 0.445, 0.449, 2.796), 1010.473, 1010.04),
     ],
 )
 def test_published_likelihoods_are_found(
-    tmp_path: Path, name: str, natural: tuple[float, ...], minus2ll: float
+    tmp_path: Path, name: str, natural: tuple[float, ...], minus2ll: float, by_exact_hessian: float
 ) -> None:
     path = SHARED / f"{name}.csv"
     if not path.is_file():
@@ -351,6 +351,24 @@ def test_published_likelihoods_are_found(
     u = made.layout.bijections.from_natural(np.array(natural))
     found = made.value(u, weights, np.zeros((len(data), made.layout.effects)))
     assert found.total == pytest.approx(minus2ll, abs=0.05)
+    assert made.by_exact_hessian(u, weights, found.z) == pytest.approx(by_exact_hessian, abs=0.05)
+
+
+def test_the_exact_hessian_is_the_second_derivative_of_the_joint_density(tmp_path: Path) -> None:
+    model, data = decays(tmp_path)
+    made, u, weights = marginal_of(model, data)
+    found, h = made.value(u, weights, np.zeros((len(data), 2))), 1e-3
+    natural = made.layout.natural(made.rows(u))
+
+    def half(step: np.ndarray) -> np.ndarray:
+        z = torch.from_numpy(found.z + step)
+        return 0.5 * made.likelihood.joint(made.likelihood.plain(natural, z, weights), z).numpy()
+
+    units = h * np.eye(2)
+    hessian = np.array([[half(a + b) - half(a - b) - half(b - a) + half(-a - b) for a in units] for b in units])
+    log_det = np.linalg.slogdet(np.moveaxis(hessian, 2, 0) / (4 * h**2))[1]
+    expected = (2 * half(np.zeros(2)) + log_det).sum()
+    assert made.by_exact_hessian(u, weights, found.z) == pytest.approx(expected, abs=1e-4)
 
 
 def test_nodes_without_a_solution_leave_the_quadrature_and_its_gradient_finite(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ any number of trajectories. If both sizes are large (`nystrom.LEAST`), neither m
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.training.engines import Linearised
 from gbspec.training.optimise.nystrom import LEAST, Blocks, Sketch, TooSlowError
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Integers, Parameters
 
 Found = TypeVar("Found")
 
@@ -115,7 +116,8 @@ class NormalEquations:
         self.penalised = np.zeros(parameters.size)
         self.penalised[: parameters.n_weights] = 1.0
         self.theta = theta
-        self.groups = [np.flatnonzero(self.owner == i) for i in range(parameters.trajectories)]
+        # Of a pooled population all columns of single trajectories are 0: then nothing is to be eliminated.
+        self.single = bool(self.local.any())
         self.dual = len(self.residuals) < parameters.n_shared
         large = min(len(self.residuals), parameters.n_shared) >= LEAST
         blocks = Blocks.of(self.local, self.owner, parameters.trajectories)
@@ -123,6 +125,13 @@ class NormalEquations:
         self._grams: tuple[Array, Array] | None = None
         self._dual_kept: tuple[Cholesky, tuple[float, float]] | None = None
         self._primal_kept: tuple[_Primal, tuple[float, float]] | None = None
+
+    @cached_property
+    def groups(self) -> list[Integers]:
+        """The residuals of each trajectory."""
+        order = np.argsort(self.owner, kind="stable")
+        ends = np.searchsorted(self.owner[order], np.arange(1, self.parameters.trajectories), side="left")
+        return np.split(order, ends) if self.parameters.trajectories else []
 
     # ---------------------------------------------------------------- products
     def times(self, step: Array) -> Array:
@@ -185,6 +194,8 @@ class NormalEquations:
         take too long."""
         parameters = self.parameters
         shape = parameters.trajectories, parameters.n_local
+        if not self.single:
+            return 1 / self._diagonal(damping)[parameters.n_shared :].reshape(shape)
         if self.sketch is None and not self.dual:
             factor, inverses, crosses = self._primal_factor(damping)
             # The inverse of a block, plus what it inherits from the uncertainty of the shared part.
@@ -246,7 +257,7 @@ class NormalEquations:
         weights = self.shared[:, : self.parameters.n_weights]
         constants = self.shared[:, self.parameters.n_weights :]
         rest = constants @ constants.T
-        for rows in self.groups:
+        for rows in self.groups if self.single else ():
             block = self.local[rows]
             rest[np.ix_(rows, rows)] += block @ block.T
         gram = weights @ weights.T
@@ -259,6 +270,8 @@ class NormalEquations:
         """(J^T J + D)^-1 g, by elimination of the trajectories' blocks."""
         ns, nl = self.parameters.n_shared, self.parameters.n_local
         factor, inverses, crosses = self._primal_factor(damping)
+        if not self.single:
+            return np.concatenate([factor.solve(gradient[:ns]), gradient[ns:] / self._diagonal(damping)[ns:]])
         g_shared, g_local = gradient[:ns].copy(), gradient[ns:].reshape(-1, nl)
         for inverse, cross, g in zip(inverses, crosses, g_local, strict=True):
             g_shared -= cross @ (inverse @ g)
@@ -276,7 +289,7 @@ class NormalEquations:
         matrix = self._grams[0].copy()
         matrix[np.diag_indices_from(matrix)] += diagonal[:ns]
         inverses, crosses = [], []
-        for i, rows in enumerate(self.groups):
+        for i, rows in enumerate(self.groups if self.single else ()):
             local = self.local[rows]
             own = diagonal[ns + i * nl : ns + (i + 1) * nl]
             inverses.append(np.linalg.inv(local.T @ local + np.diag(own)))

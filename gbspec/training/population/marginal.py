@@ -86,6 +86,21 @@ class Marginal:
             each = self.quadrature.total(joint) + _log_det(hessian)
         return Value(each.numpy(), modes.numpy())
 
+    def by_exact_hessian(self, u: Array, weights: Array, z: Array) -> float:
+        """Minus twice the log likelihood by Laplace's method with the exact Hessian of g/2 in place of the expected
+        one, at the modes `z`; NaN where it is not positive definite. Its gradient would need third derivatives."""
+        rows, at = self.rows(u), torch.from_numpy(z).clone().requires_grad_()
+        of, _ = self._compared(rows, at, torch.from_numpy(weights))
+        second = self._second(self.likelihood.half_gradient(of, at), at)
+        each = self.likelihood.joint(of, at) + _log_det(0.5 * (second + second.transpose(1, 2)))
+        return float(each.sum().detach())
+
+    def _second(self, gradient: Tensor, at: Tensor) -> Tensor:
+        """The derivative [units, q, q] of `gradient` [units, q] by the standard numbers `at`, which keeps its graph."""
+        with by_constants(self.predictions.second):
+            columns = [_grad(gradient[:, i].sum(), at) for i in range(at.shape[1])]
+        return torch.stack(columns, 1) if columns else at.new_zeros((len(at), 0, 0))
+
     # ---------------------------------------------------------------- derivatives
     def slopes(self, u: Array, weights: Array, z: Array) -> Slopes:
         """The exact gradient at the modes `z`, which `value` has found."""
@@ -97,8 +112,8 @@ class Marginal:
         log_det = _log_det(likelihood.expected_hessian(of))
         if not q:
             return _slopes(likelihood.joint(of, at).sum(), rows, w)
+        second = self._second(gradient, at)
         with by_constants(self.predictions.second):
-            second = torch.stack([_grad(gradient[:, i].sum(), at) for i in range(q)], 1)
             moved = _grad(log_det.sum(), at) if self.quadrature is None else at
         if self.quadrature is not None:
             return self._quadrature_slopes(self.quadrature, rows, w, at.detach(), gradient, second)

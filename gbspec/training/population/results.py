@@ -56,6 +56,7 @@ class PopulationResult:
     `individual` [N, q] and `individual_sd` the constants of each trajectory; `deviations` [N, width] in units of the
     spreads, those of levels last, and their `shrinkage` [width]; `table` [m, ...] by name: the population's and the
     trajectory's own predictions, and residuals. `used` is the number of parameters, of weights the effective one.
+    `exact` is -2 log L by Laplace's method with the exact inner Hessian, NaN where that is not positive definite.
     """
 
     point: Point
@@ -69,6 +70,7 @@ class PopulationResult:
     noise: Array
     table: dict[str, Array]
     used: float
+    exact: float
 
 
 def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: float) -> PopulationResult:
@@ -103,6 +105,7 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         np.sqrt(of.variance.numpy()),
         _table(objective, point, of),
         used + len(point.u),
+        objective.marginal.by_exact_hessian(point.u, weights, point.z),
     )
 
 

@@ -127,6 +127,7 @@ def _record(context: Context, found: PopulationResult, objective: Objective) -> 
         finite(found.point.minus2ll + found.used * float(np.log(max(values, 1)))),
         objective.marginal.nodes,
         found.ridge if context.model.networks else None,
+        exact_hessian=finite(found.exact),
     )
 
 
