@@ -3,17 +3,19 @@
     python -m benchmarks.studies.populations published DATA
     python -m benchmarks.studies.populations networks DATA
     python -m benchmarks.studies.populations simulated benchmarks/studies/populations_rows.txt COUNT
+    python -m benchmarks.studies.populations many SUBJECTS
 
 The first two take theophylline.csv and phenobarbital.csv from the folder DATA: known forms, and one form as a network
 of two arguments, of which one is an effect. The third makes COUNT populations of each model, writes a row for each into
-the file (fits whose rows it has are not repeated), and prints bias and coverage. Each fit is `gbspec train` with
-its defaults.
+the file (fits whose rows it has are not repeated), and prints bias and coverage. The last fits one population of
+SUBJECTS with two workers, and prints times and memory. Each fit is `gbspec train` with its defaults otherwise.
 Simulated populations have 100 subjects; random numbers are drawn here, solutions are closed forms, so that nothing of
 the fit takes part in making the data.
 """
 
 from __future__ import annotations
 
+import resource
 import sys
 import tempfile
 import time
@@ -109,11 +111,11 @@ TRUTHS = {
 }
 
 
-def oral(random: np.random.Generator) -> tuple[Array, Array, Array]:
+def oral(random: np.random.Generator, subjects: int = SUBJECTS) -> tuple[Array, Array, Array]:
     """Doses [N], times [T] and concentrations [N, T] of one population."""
     truth, times = TRUTHS["oral"], np.array([0.25, 0.5, 1.0, 2.0, 4.0, 7.0, 12.0, 24.0])
-    ka, cl, v = (truth[k][0] * np.exp(truth[k][1] * random.standard_normal((SUBJECTS, 1))) for k in ("ka", "CL", "V"))
-    dose, k = random.uniform(250, 400, (SUBJECTS, 1)), cl / v
+    ka, cl, v = (truth[k][0] * np.exp(truth[k][1] * random.standard_normal((subjects, 1))) for k in ("ka", "CL", "V"))
+    dose, k = random.uniform(250, 400, (subjects, 1)), cl / v
     mean = dose * ka / (v * (ka - k)) * (np.exp(-k * times) - np.exp(-ka * times))
     return dose[:, 0], times, mean + truth["noise"] * random.standard_normal(mean.shape)
 
@@ -168,20 +170,41 @@ def networks(data: Path) -> None:
             print("| " + " | ".join([*row, f"{seconds:.1f} s"]) + " |", flush=True)
 
 
+def written(made: tuple[Array, Array, Array], path: Path) -> Path:
+    """A table of doses, times and concentrations."""
+    dose, times, values = made
+    rows = [
+        f"{i + 1},{t},{y!r},{d!r}"
+        for i, (d, row) in enumerate(zip(dose.tolist(), values.tolist(), strict=True))
+        for t, y in zip(times, row, strict=True)
+    ]
+    path.write_text("\n".join(["trajectory,t,conc,dose", *rows]) + "\n")
+    return path
+
+
+def many(subjects: int) -> None:
+    """One large population: estimates, processor time (of this process), time by the clock, and largest memory."""
+    with tempfile.TemporaryDirectory() as where:
+        folder = Path(where)
+        table = written(oral(np.random.default_rng([1, 11]), subjects), folder / "data.csv")
+        began = time.perf_counter()
+        run, seconds = fit(ORAL, table, folder, workers=2)
+        wall = time.perf_counter() - began
+    found = run.fit.population
+    assert found is not None
+    effects = ", ".join(f"{k} {one.median:.4g}; {one.sd:.4g}" for k, one in found.effects.items())
+    memory = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 1e6
+    cells = (subjects, f"{found.minus2ll:.1f}", effects, f"{run.fit.noise['conc']:.4g}")
+    print("| " + " | ".join(map(str, cells)) + f" | {seconds:.0f} s | {wall:.0f} s | {memory:.2f} GB |")
+
+
 def one_set(name: str, seed: int) -> str:
     """The row of one simulated population: seconds, -2 log likelihood, and for each median and spread the estimate over
     the truth, and whether the 90 % interval holds the truth."""
     text, made = {"oral": (ORAL, oral), "bolus": (BOLUS, bolus)}[name]
-    dose, times, values = made(np.random.default_rng([seed, 11]))
     with tempfile.TemporaryDirectory() as where:
         folder = Path(where)
-        rows = [
-            f"{i + 1},{t},{y!r},{d!r}"
-            for i, (d, row) in enumerate(zip(dose.tolist(), values.tolist(), strict=True))
-            for t, y in zip(times, row, strict=True)
-        ]
-        (folder / "data.csv").write_text("\n".join(["trajectory,t,conc,dose", *rows]) + "\n")
-        run, seconds = fit(text, folder / "data.csv", folder)
+        run, seconds = fit(text, written(made(np.random.default_rng([seed, 11])), folder / "data.csv"), folder)
     found = run.fit.population
     assert found is not None
     cells = [f"{seconds:.1f}", f"{found.minus2ll:.4f}"]
@@ -258,6 +281,8 @@ def main() -> None:
         published(Path(sys.argv[2]))
     elif sys.argv[1] == "networks":
         networks(Path(sys.argv[2]))
+    elif sys.argv[1] == "many":
+        many(int(sys.argv[2]))
     else:
         simulated(Path(sys.argv[2]), int(sys.argv[3]))
 

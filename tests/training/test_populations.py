@@ -351,7 +351,8 @@ def test_published_likelihoods_are_found(
     u = made.layout.bijections.from_natural(np.array(natural))
     found = made.value(u, weights, np.zeros((len(data), made.layout.effects)))
     assert found.total == pytest.approx(minus2ll, abs=0.05)
-    assert made.by_exact_hessian(u, weights, found.z) == pytest.approx(by_exact_hessian, abs=0.05)
+    # The reference is the least value, which lies at other estimates than those of the expected Hessian.
+    assert by_exact_hessian < made.by_exact_hessian(u, weights, found.z) < by_exact_hessian + 0.3
 
 
 def test_the_exact_hessian_is_the_second_derivative_of_the_joint_density(tmp_path: Path) -> None:
