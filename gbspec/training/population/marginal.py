@@ -282,7 +282,7 @@ def _information(owner: Integers, of: _Linearised, known: Integers) -> Array:
 
 def _moved_variance(of: _Linearised, rows: Integers, place: int) -> Array:
     """The derivative [n, k, k] of the covariances of values `rows` [n, k] by one parameter."""
-    out = of.noise[rows, place][:, :, None] * np.eye(rows.shape[1])
+    out: Array = of.noise[rows, place][:, :, None] * np.eye(rows.shape[1])
     if place not in of.spread:
         return out
     across = of.by_z[rows] @ of.spread[place][rows].swapaxes(1, 2)

@@ -41,7 +41,7 @@ class Quadrature:
         found, info = torch.linalg.cholesky_ex(hessian)
         factor = torch.where((info == 0)[:, None, None], found, torch.eye(self.size, dtype=hessian.dtype))
         points = self.points.T.expand(len(modes), -1, -1)
-        moved = torch.linalg.solve_triangular(factor.transpose(1, 2), points, upper=True)
+        moved: Tensor = torch.linalg.solve_triangular(factor.transpose(1, 2), points, upper=True)
         return modes + 2**0.5 * moved.permute(2, 0, 1)
 
     def _together(self, nodes: Tensor) -> Iterator[tuple[Likelihood, slice]]:
