@@ -228,7 +228,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("-o", "--out", type=Path, default=Path("stiff"))
     parser.add_argument("--only", nargs="*", default=list(CASES))
-    parser.add_argument("--rtol", type=float, default=1e-8)
+    parser.add_argument("--rtol", type=float, default=3e-9)
     parser.add_argument("--no-fit", action="store_true")
     parser.add_argument("--effort", default="normal")
     given = parser.parse_args()
