@@ -1,4 +1,4 @@
-"""Loss and gradient of a stiff model at equal error: gbspec's kernel and diffrax's Kvaerno3 and Kvaerno5.
+"""Loss and gradient of a stiff model at equal error: gbspec's kernel, diffrax's Kvaerno methods, CasADi's CVODES.
 
     python -m benchmarks.stiff [--rounds 9] [--seconds 60] [--target 1e-6]
 
@@ -15,7 +15,7 @@ import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
@@ -33,7 +33,11 @@ TITLES = {
     f"{OURS} planning": "of it the choice of the steps",
     "Kvaerno3": "diffrax `Kvaerno3`",
     "Kvaerno5": "diffrax `Kvaerno5`",
+    "CVODES adjoint": "CasADi `cvodes`, adjoint",
+    "CVODES forward": "CasADi `cvodes`, forward",
 }
+FORWARD = 100
+"""Forward sensitivities are not computed for more parameters than these."""
 LADDER = tuple(10.0 ** (-i / 4) for i in range(14, 37))
 """Tolerances, from 3e-4 to 1e-9."""
 AGREE = 1e-3
@@ -104,17 +108,39 @@ def ours(work: StiffWork, exact: Array, target: float) -> Chosen:
 
 
 def peer(work: StiffWork, exact: Array, target: float, name: str) -> Chosen:
-    """A method of diffrax; raises ImportError without it."""
-    from benchmarks.peers.diffrax_stiff import Peer, flat
-
-    made = Peer(work, name)
+    """A method of another library; raises ImportError without it, FailedError where it gives no gradient."""
+    made = maker(work, name)
     errors = ladder(lambda rtol: work.off(made.states(rtol)[0], exact), target)
     rtol = nearest(errors, target)
     try:
         loss, gradient = made.step(rtol)()
     except RuntimeError as error:  # jax raises subclasses of it
         raise FailedError(f"{name} has no gradient at {rtol:.1e}, error {errors[rtol]:.1e}: {reason(error)}") from error
-    return Chosen(rtol, errors[rtol], made.states(rtol)[1], (float(loss), flat(gradient)), {name: made.step(rtol)})
+    return Chosen(rtol, errors[rtol], made.states(rtol)[1], (float(loss), gradient), {name: made.step(rtol)})
+
+
+class Peer(Protocol):
+    """A solver of another library."""
+
+    def states(self, rtol: float) -> tuple[Array, float]:
+        """States [N, T, 3] and the mean number of steps (NaN: not known)."""
+
+    def step(self, rtol: float) -> Callable[[], tuple[float, Array]]:
+        """Loss and gradient, in the order of `StiffWork.natural`, as a call without arguments."""
+
+
+def maker(work: StiffWork, name: str) -> Peer:
+    """The solver of this name."""
+    if name.startswith("CVODES"):
+        from benchmarks.peers import casadi_cvodes
+
+        kind: Literal["adjoint", "forward"] = "adjoint" if name.endswith("adjoint") else "forward"
+        if kind == "forward" and work.theta.size > FORWARD:
+            raise FailedError(f"{TITLES[name]}: not timed with {work.theta.size} parameters")
+        return casadi_cvodes.Peer(work, kind)
+    from benchmarks.peers import diffrax_stiff
+
+    return diffrax_stiff.Peer(work, name)
 
 
 class FailedError(RuntimeError):
@@ -162,7 +188,7 @@ def measure(work: StiffWork, target: float, names: tuple[str, ...], rounds: int,
         out[name] = {
             "rtol": one.rtol,
             "error": one.error,
-            "steps": one.steps,
+            "steps": one.steps if np.isfinite(one.steps) else None,
             "apart": apart,
             "timing": timings[name].to_json(),
             "share": {"median": middle, "low": low, "high": high},
@@ -177,7 +203,8 @@ def rows(result: Mapping[str, Any], label: str) -> list[list[str]]:
     lines = []
     for name, one in result["solvers"].items():
         t, share = one["timing"], one["share"]
-        cells = [f"{label}: {TITLES[name]}", f"{one['rtol']:.1e}", f"{one['error']:.1e}", f"{one['steps']:.0f}"]
+        steps = "" if one["steps"] is None else f"{one['steps']:.0f}"
+        cells = [f"{label}: {TITLES[name]}", f"{one['rtol']:.1e}", f"{one['error']:.1e}", steps]
         cells += [f"{t['cpu_ms']:.1f}", f"{t['ms']:.1f}", f"{t['low_ms']:.1f}–{t['high_ms']:.1f}"]
         ratio = f"{share['median']:.3f} ({share['low']:.3f}–{share['high']:.3f})"
         lines.append([*cells, "" if name == OURS else ratio])
@@ -197,7 +224,8 @@ def table(result: Mapping[str, Any]) -> str:
         f"Robertson's reaction, {result['trajectories']} trajectories, 50 rows from 1e-5 to 1e5 s of all states; loss "
         "and gradient by rates, starts and, with a network of 64 and 64, its weights. Tolerances whose largest error "
         f"in any row is nearest {result['target']:.0e}, relative to |x| + 0.1 of the state's scale; mean accepted "
-        "steps of a trajectory (of diffrax all tried ones). One core, float64; medians of interleaved rounds and, in "
+        "steps of a trajectory (of diffrax all tried ones; CasADi tells none). One core, float64; medians of "
+        "interleaved rounds and, in "
         f"brackets, quartiles of the ratio of processor times within a round; processor time over wall time {busy:.2f}."
     )
     failed = [f"{label}: {text}." for label, found in result["workloads"].items() for text in found["failed"]]
@@ -210,7 +238,9 @@ def arguments() -> argparse.Namespace:
     options.add_argument("--seconds", type=float, default=60.0, help="no round starts after this number of seconds")
     options.add_argument("--target", type=float, default=1e-6, help="the error at which solvers are compared")
     options.add_argument("--trajectories", type=int, default=16)
-    options.add_argument("--peers", nargs="*", default=["Kvaerno3", "Kvaerno5"], metavar="NAME")
+    options.add_argument(
+        "--peers", nargs="*", default=[name for name in TITLES if not name.startswith(OURS)], metavar="NAME"
+    )
     return options.parse_args()
 
 

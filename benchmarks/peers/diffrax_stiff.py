@@ -94,6 +94,11 @@ class Peer:
         found, steps = self._states(self._parameters, rtol)
         return np.asarray(found), float(np.mean(steps))
 
-    def step(self, rtol: float) -> Callable[[], Any]:
-        """Loss and gradient as a call without arguments."""
-        return lambda: jax.block_until_ready(self._loss(self._parameters, rtol))
+    def step(self, rtol: float) -> Callable[[], tuple[float, np.ndarray[Any, Any]]]:
+        """Loss and gradient, in the order of `StiffWork.natural`, as a call without arguments."""
+
+        def call() -> tuple[float, np.ndarray[Any, Any]]:
+            loss, gradient = jax.block_until_ready(self._loss(self._parameters, rtol))
+            return float(loss), flat(gradient)
+
+        return call

@@ -163,7 +163,8 @@ class _Lowering:
         start = self._number(at, numbers)
         size, end = self._number(every, numbers), self._number(until, numbers)
         if s.every is not None and not math.isnan(size) and size <= 0:
-            self._wrong(f"`{s.name.text}` happens every {size:g}, which is not positive", s.every.span)
+            message = f"`{s.name.text}` happens every {size:g}, which is not positive"
+            self._wrong(message, s.every.span, "give the time between two of them, e.g. `every 24`")
         elif s.until is not None and s.every is None:
             self._wrong(f"`{s.name.text}` happens once, so that `until` says nothing", s.until.span, "add `every …`")
         elif s.until is not None and end < start:

@@ -41,10 +41,11 @@ def _sound(node: ast.Call, site: Site, table: Table, findings: Findings) -> bool
         help = "delays stand in balances, rates, `let`, functions and `observe`"
         findings.error("GB369", message, node.span, help=help)
         return False
-    return _delayed(ungrouped(node.arguments[0]), site, table, findings)
+    what, time = (ungrouped(argument) for argument in node.arguments)
+    return _delayed(what, time, site, table, findings)
 
 
-def _delayed(what: ast.Expression, site: Site, table: Table, findings: Findings) -> bool:
+def _delayed(what: ast.Expression, time: ast.Expression, site: Site, table: Table, findings: Findings) -> bool:
     """Whether the first argument names something that changes in time."""
     text = " ".join(what.span.text.split())
     if not isinstance(what, ast.Name):
@@ -65,6 +66,9 @@ def _delayed(what: ast.Expression, site: Site, table: Table, findings: Findings)
     help = f"name it: `let a = {what.text}{applied}`, and write `delay(a, …)`" if named else "leave out the delay"
     if declaration.kind is Kind.TIME:
         help = f"write `{what.text} - tau`"
+    other = table.get(time.text) if isinstance(time, ast.Name) else None
+    if isinstance(time, ast.Name) and other is not None and other.kind in _DELAYED and not named:
+        help = f"what is delayed comes first: `delay({time.text}, {what.text})`"
     message = f"`delay` takes a state, an input or a `let`, and `{what.text}` is {declaration.kind.value}"
     findings.error("GB365", message, what.span, help=help)
     return False

@@ -83,7 +83,8 @@ class _Checks:
             if declared is None and not self.merged.lacks(column):
                 return  # perhaps declared by a statement that could not be read
             message += " needs its categories"
-            help = f"write {other}, or declare them: `condition {column} in {{a, b}}`"
+            near = suggestion(column, self._with_categories()) if declared is None else ""
+            help = near or f"write {other}, or declare them: `condition {column} in {{a, b}}`"
         elif statement.row:
             message += " is not offered for a row of constants"
             help = "declare a constant for each of the row's places"
@@ -91,6 +92,11 @@ class _Checks:
             message += " has no other `per`"
             help = f"leave the other out, or write {other}"
         self.findings.error("GB421", message, grouping.span, help=help)
+
+    def _with_categories(self) -> list[str]:
+        """The conditions that are categories."""
+        declared = ((name, found.statement) for name, found in self.table.items())
+        return [n for n, s in declared if isinstance(s, ast.ConditionStatement) and s.categories is not None]
 
     def _together(self, statement: ast.LearnStatement, first: ast.Grouping, other: ast.Grouping) -> None:
         """Checks a further grouping against the first."""

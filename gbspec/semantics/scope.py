@@ -96,6 +96,7 @@ class Resolver:
                 labels=[Label(span, "also here") for span in spans[1:_PLACES]],
                 notes=self._further(len(spans) - _PLACES, len(names) - _MOST if number == _MOST - 1 else 0),
                 help=(_NOT_OFFERED.get(name, "") if missing.called else "")
+                or self._rate(name)
                 or (suggestion(name, self._candidates(missing)) if number < _SUGGESTIONS else "")
                 or f"declare it, for example `{'function' if missing.called else 'const'} {name}"
                 f"{'(x)' if missing.called else ''} = …`",
@@ -141,6 +142,13 @@ class Resolver:
         if missing is None:
             missing = self.missing[name.text] = Missing([], frozenset(site.formals), called)
         missing.spans.append(name.span)
+
+    def _rate(self, name: str) -> str:
+        """The help for a rate of change that is written `dX/dt`; empty for other names."""
+        state = self.table.get(name[1:]) if name.startswith("d") else None
+        if state is None or state.kind is not Kind.STATE:
+            return ""
+        return f"a measured rate of change is written `{name[1:]}'`, in `observe`; elsewhere its expression is a `let`"
 
     def _candidates(self, missing: Missing) -> frozenset[str]:
         """The names of which an undeclared one may be a misspelling."""
@@ -267,17 +275,23 @@ class Resolver:
     def _not_a_function(self, node: ast.Call, what: str, at: Span | None, site: Site) -> None:
         site.references.complete = False
         name = node.function.text
-        clock = len(node.arguments) == 1 and isinstance(node.arguments[0], ast.Name)
-        current = clock and self._is_time(node.arguments[0])
         self.findings.error(
             "GB204",
             f"`{name}` is {what}, not a function",
             node.span,
             labels=[Label(at, "declared here")] if at is not None else [],
-            help=f"write `{name}` for its value at the current time"
-            if current
-            else f"to multiply, write `{name}*(…)`; a function is declared with `function {name}(x) = …`",
+            help=self._instead_of_a_call(name, node.arguments),
         )
+
+    def _instead_of_a_call(self, name: str, arguments: tuple[ast.Expression, ...]) -> str:
+        """What to write in place of `x(t)`, `x(t - tau)` or any other call of what is no function."""
+        match arguments:
+            case (ast.Name() as only,) if self._is_time(only):
+                return f"write `{name}` for its value at the current time"
+            case (ast.Binary(operator="-", left=left, right=right),) if self._is_time(left):
+                return f"write `delay({name}, {right.span.text})`: what `{name}` was that time ago"
+            case _:
+                return f"to multiply, write `{name}*(…)`; a function is declared with `function {name}(x) = …`"
 
     def _is_time(self, node: ast.Expression) -> bool:
         declaration = self.table.get(node.text) if isinstance(node, ast.Name) else None

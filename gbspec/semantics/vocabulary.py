@@ -52,6 +52,10 @@ FOREIGN = {
     "PI": "write `pi`",
     "Pi": "write `pi`",
     "π": "write `pi`",
+    "dt": "a measured rate of change is written `X'`, in `observe`",
+    **dict.fromkeys(("true", "True"), "write `1`: names have numbers as values"),
+    **dict.fromkeys(("false", "False"), "write `0`: names have numbers as values"),
+    "steady": "write `initial X steady`, without `=`, or `initial steady` for all states",
     "inf": "leave the bound out, or give a large number",
 }
 """Names from other languages, and their equivalents here."""

@@ -43,6 +43,22 @@ def test_gradients_agree_at_about_the_target(work: StiffWork) -> None:
         assert 3e-5 < one["error"] < 3e-4 and one["apart"] < stiff.AGREE
 
 
+def test_sensitivities_by_cvodes_are_those_of_the_kernel(work: StiffWork) -> None:
+    name = "CVODES adjoint" if work.layers else "CVODES forward"
+    result = stiff.measure(work, 1e-4, (name,), 1, 1e9)
+    assert set(result["solvers"]) == {stiff.OURS, name} and not result["failed"]
+    for one in result["solvers"].values():
+        assert 3e-5 < one["error"] < 3e-4 and one["apart"] < stiff.AGREE
+
+
+def test_forward_sensitivities_of_many_weights_are_told_to_be_left_out(
+    work: StiffWork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stiff, "FORWARD", 3)
+    with pytest.raises(stiff.FailedError, match="not timed with"):
+        stiff.maker(work, "CVODES forward")
+
+
 def test_without_peers_the_own_time_is_told(work: StiffWork) -> None:
     try:
         found = stiff.measure(work, 1e-3, (), 2, 1e9)
