@@ -1,4 +1,4 @@
-"""Likely mistakes in statements of dynamics (events, equations, delays, tables, categories, infusions, splines), through
+"""Likely mistakes in dynamic statements (events, equations, delays, tables, categories, infusions, splines), through
 every check: each gives one diagnostic, at its place, whose help or label says what to write."""
 
 from __future__ import annotations
