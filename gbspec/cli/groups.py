@@ -12,7 +12,7 @@ FIRST = ""
 GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
     "TrainOptions": {
         FIRST: ("members", "effort", "seed", "holdout", "resume"),
-        "Solver": ("max_step", "solver", "tolerance", "random_substeps"),
+        "Solver": ("max_step", "solver", "tolerance", "switches", "random_substeps"),
         "Where it runs": ("workers", "threads", "device", "backend", "scheduler"),
         "Stages": ("start", "initial", "forcing", "stages", "method", "warm_start", "half_step"),
         "Details of the fit": ("ridge", "quadrature", "output_scale", "epochs", "batch_size", "learning_rate"),

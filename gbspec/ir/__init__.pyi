@@ -31,7 +31,9 @@ from .evaluated import named as named
 from .evaluated import right_sides as right_sides
 from .evaluated import unknowns_in_equations as unknowns_in_equations
 from .evaluated import used_by_balances as used_by_balances
+from .events import HELD as HELD
 from .events import Event as Event
+from .events import Switch as Switch
 from .events import Timing as Timing
 from .forms import Block as Block
 from .forms import Form as Form

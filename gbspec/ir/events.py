@@ -1,4 +1,4 @@
-"""Events of a Model: what happens at a time, or when a condition becomes true."""
+"""Events of a Model: what happens at a time, or when a condition becomes true; and where its right-hand sides switch."""
 
 from __future__ import annotations
 
@@ -40,3 +40,21 @@ class Event:
     armed: bool = False
     description: str = field(default="", kw_only=True)
     span: Span | None = field(default=None, kw_only=True, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Where right-hand sides switch: where `guard` changes its sign (`gbspec.passes.switching` finds these places).
+
+    They hold `guard + symbol > 0` in place of `guard > 0`. The symbol is 0 where nothing is held, else `HELD` or its
+    negative: then a part of a step that ends at the switch sees one side of it alone. Two events without effects end
+    such parts, one where the guard becomes positive and one where it becomes negative; the last events of a Model are
+    those of its switches, in their order.
+    """
+
+    symbol: sympy.Symbol
+    guard: Expr
+
+
+HELD = 1e30
+"""A number beyond any guard; single precision has it."""

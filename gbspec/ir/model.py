@@ -25,7 +25,7 @@ from gbspec.ir.declared import Declared as Declared
 from gbspec.ir.declared import Range as Range
 from gbspec.ir.delays import Delay, timed
 from gbspec.ir.distributions import Distribution, Noise
-from gbspec.ir.events import Event
+from gbspec.ir.events import Event, Switch
 from gbspec.ir.forms import Form, Layout
 from gbspec.ir.starts import MEASURED, Steady
 from gbspec.ir.starts import Initial as Initial
@@ -324,6 +324,7 @@ class Model:
     delays: tuple[Delay, ...] = ()
     steady: Steady | None = None
     events: tuple[Event, ...] = ()  # in the order in which they happen at one time
+    switches: tuple[Switch, ...] = ()  # where steps are cut, in a Model that engines solve so; no file has any
     algebraics: tuple[Algebraic, ...] = ()  # in the order of the blocks, without those that are intermediates
     constraints: tuple[Equation, ...] = ()
     blocks: tuple[EquationBlock, ...] = ()

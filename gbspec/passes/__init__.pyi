@@ -8,4 +8,6 @@ from .identifiability import by_one_trajectory as by_one_trajectory
 from .override import with_values as with_values
 from .steady import with_steady_start as with_steady_start
 from .structure import with_structure as with_structure
+from .switching import Switched as Switched
+from .switching import with_switches as with_switches
 from .truth import with_truth as with_truth

@@ -136,6 +136,10 @@ class Run:
         value = self.member(number).info.get("max_step")
         return float(value) if isinstance(value, int | float) else None
 
+    def equal_step(self, number: int) -> float | None:
+        """The same if steps were equal ones; None if they end where right-hand sides switch."""
+        return None if self.member(number).info.get("switches") else self.step(number)
+
     def history(self) -> list[dict[str, str]]:
         """The rows of `history.csv`; empty if there is no such file. Raises `UserError` (GB852) if it is damaged."""
         return files.read_history(self.path / files.HISTORY)

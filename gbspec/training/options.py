@@ -19,6 +19,7 @@ Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Initial = Literal["learned", "bred", "recognition"]
 Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
+Switches = Literal["auto", "on", "off"]
 
 STAGES = tuple(str(name) for name in StageName if name not in UNNAMED)
 """The stages that `--stages` can name; the plan determines which of them exist for a model and its data."""
@@ -54,6 +55,13 @@ class TrainOptions:
             "help": "Relative tolerance of adaptive steps, for a method with an error estimate; default: fixed steps, "
             f"except with `{STIFF.name}`, where it is chosen from the data.",
             "metavar": "RTOL",
+        },
+    )
+    switches: Switches = field(
+        default="auto",
+        metadata={
+            "help": "Whether steps end where right-hand sides switch (`if`, `max`, `min`, `abs`, `sign` of states): "
+            "`auto` where the step's error shows, and ending there is why it falls; `on` from the first step."
         },
     )
     method: Method = field(
@@ -239,6 +247,7 @@ class TrainOptions:
                 reason = f"left out with `--solver {self.solver}`, which has no error estimate"
                 report("tolerance", self.tolerance, reason)
         chosen = {"method": Method, "effort": Effort, "initial": Initial, "device": Device, "backend": Backend}
+        chosen["switches"] = Switches
         for name, allowed in chosen.items():
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
@@ -253,7 +262,7 @@ class TrainOptions:
 
         Options that earlier versions did not have are omitted at their defaults, so that fingerprints stay valid.
         """
-        usual = {"solver": AUTO, "tolerance": None, "quadrature": None, "start": None}
+        usual = {"solver": AUTO, "tolerance": None, "quadrature": None, "start": None, "switches": "auto"}
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return {name: value for name, value in kept.items() if name not in usual or value != usual[name]}
 

@@ -32,6 +32,7 @@ class StageName(StrEnum):
     SEARCH = "search"
     LEAST_SQUARES = "least squares"
     LEAST_SQUARES_STARTS = "least squares, starts too"
+    CUT = "cut steps"
     FINER = "finer step"
     WEIGHTS = "channel weights"
     FURTHER = "further iterations"
@@ -58,6 +59,7 @@ _MOST: Mapping[str, tuple[int, int, int]] = {
     StageName.AS_ASKED: (8, 14, 60),
     StageName.LEAST_SQUARES: (100, 200, 500),
     StageName.LEAST_SQUARES_STARTS: (100, 200, 500),
+    StageName.CUT: (20, 50, 100),
     StageName.FINER: (20, 50, 100),
     StageName.WEIGHTS: (8, 30, 60),
     StageName.FURTHER: (0, 0, 120),

@@ -201,7 +201,7 @@ def validate(
     channels: dict[str, ChannelErrors] = {}
     errors: tuple[TrajectoryError, ...] = ()
     worst: WorstRow | None = None
-    step = run.step(run.numbers[0] if member == "mean" else member)
+    step = run.equal_step(run.numbers[0] if member == "mean" else member)
     check = StepCheck(None, None, step)
     if trajectories is not None:
         each = [predictions(one, run.model, trajectories, run.fit) for one in evaluators]

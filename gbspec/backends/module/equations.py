@@ -27,7 +27,7 @@ from gbspec.backends.printing import (
     temporary,
 )
 from gbspec.diagnostics import Defect
-from gbspec.ir import NN, Declared, Delay, Expr, Input, Model, Network, Unknown, Vector
+from gbspec.ir import NN, Declared, Delay, Expr, Input, Model, Network, Switch, Unknown, Vector
 
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
@@ -44,6 +44,8 @@ def scope(model: Model, *more: str) -> Names:
         names.claim(variable.symbol)
     for delay in model.delays:
         names.claim(delay.symbol, f"{delay.source}_delayed")
+    for switch in model.switches:
+        names.claim(switch.symbol)
     return names
 
 
@@ -320,13 +322,19 @@ def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symb
     """Lines that unpack the used quantities."""
     lines = []
     states = () if model.arrays else model.states  # with arrays, states are entries of the vector, and so statements
-    external: tuple[Input | Delay, ...] = (*model.inputs, *model.delays)
-    vectors: list[tuple[str, Sequence[Declared | Delay]]] = [("state", states), ("condition", model.conditions)]
+    external: tuple[Input | Delay | Switch, ...] = (*model.inputs, *model.delays, *model.switches)
+    vectors: list[tuple[str, Sequence[Declared | Delay | Switch]]] = [
+        ("state", states),
+        ("condition", model.conditions),
+    ]
     for vector, items in (*vectors, ("inputs", external)):
         wanted = [item.symbol in (given if given is not None and vector == "state" else used) for item in items]
         if any(wanted):
             targets = [names[item.symbol] if want else "_" for item, want in zip(items, wanted, strict=True)]
-            lines.append(f"{left_side(targets)} = math.unpack({vector})")
+            value = f"math.unpack({vector})"
+            if vector == "inputs" and model.switches:  # without sides behind them nothing is held
+                targets, value = [*targets, "*_"], f"(*{value}, {comma('0.0' for _ in model.switches)})"
+            lines.append(f"{left_side(targets)} = {value}")
     variables = [names[item.symbol] if item.symbol in used else "_" for item in model.algebraics]
     if any(name != "_" for name in variables):
         call = f"cls.algebraic(math, {names[model.time.symbol]}, {', '.join(PARAMETERS[1:])})"

@@ -20,12 +20,16 @@ def methods(model: Model) -> list[str]:
     table = [f"({json.dumps(e.name, ensure_ascii=False)}, {e.timing is not None}, {e.armed})" for e in model.events]
     head = "# name, whether it happens at given times, whether a condition that is true at the start counts"
     found = [f"{head}\nevents: ClassVar[tuple[tuple[str, bool, bool], ...]] = ({comma(table)})", _guards(model)]
+    if model.switches:
+        head = "# how many of the last pairs of events are switches of right-hand sides"
+        found.append(f"{head}\nswitches: ClassVar[int] = {len(model.switches)}")
+    kind = "_Switched" if model.switches else "_Events"
     cutting = method_text(
         "@classmethod",
         "cutting",
         ["cls", "given", "quiet", "band", "strict"],
         "Steps that are cut where events happen; `given`: conditions, constants, networks, `quiet`: for the search.",
-        ["return _Events(cls, given, quiet, band, strict)"],
+        [f"return {kind}(cls, given, quiet, band, strict)"],
     )
     found.append(cutting)
     if any(e.rank is not None for e in model.events):

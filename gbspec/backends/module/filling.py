@@ -23,7 +23,7 @@ PLACE = re.compile(
 OPTIONAL = re.compile(r"^[ ]*\# \[(events|algebraic|delays|steady|resting)\n(.*?)^[ ]*\# \1\]\n", flags=re.M | re.S)
 """What only modules of models with events, algebraic variables, delays or steady starts have, or with events on the
 way to these."""
-EARLY = ("events", "delays")
+EARLY = ("events", "switches", "delays")
 """Such files whose place is among the first ones."""
 
 

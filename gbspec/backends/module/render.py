@@ -25,6 +25,7 @@ def generate(model: Model, method: Method = RK4) -> str:
     name = class_name(model)
     parts = {
         "events": model.events,
+        "switches": model.switches,
         "delays": model.delays,
         "lookups": model.tables,
         "algebraic": model.algebraics,

@@ -7,6 +7,7 @@
 #define FALLING 6   /* so many ever shorter intervals, the last one less than NEAR bands, have no end */
 #define NEAR 1e5
 #define GUARDS (EVENTS - TIMED_EVENTS)
+#define FIRST_SWITCH (EVENTS - 2 * SWITCHES) /* the last events are switches of right-hand sides, two for each */
 
 /* A part of a sub-step between two times of events. */
 typedef struct {
@@ -14,6 +15,7 @@ typedef struct {
     double turn;      /* the number of the timed event that ends it */
     int which;        /* the event whose time ends it; -1: the end of the sub-step */
     int first, count; /* the events at its start, a part of `fired` */
+    real side[SWITCHES + 1]; /* on which right-hand sides are held in it */
     real x[STATES], reached[STATES]; /* after those events, and at its end before the next ones */
 } Piece;
 
@@ -25,6 +27,7 @@ typedef struct {
     int on[GUARDS + 1], pending[EVENTS], known;
     real guard[GUARDS + 1], rate[GUARDS + 1]; /* where `known`: at the start of the current part */
     int count, fired_count, endless; /* endless: events follow each other without end, and there is no solution */
+    int turns, uncut, suspended[SWITCHES + 1], released[SWITCHES + 1]; /* of switches: see switches.c */
     int16_t fired[(CLOSE + 2) * CASCADE];
     Piece pieces[CLOSE + 2];
     real chain[(CASCADE + 1) * STATES];

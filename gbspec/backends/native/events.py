@@ -31,7 +31,8 @@ def check(model: Model, precision: str, method: Method) -> None:
 def sizes(model: Model) -> dict[str, int]:
     """The sizes that `events.c` uses."""
     ranked = any(event.rank is not None for event in model.events)
-    return {"EVENTS": len(model.events), "TIMED_EVENTS": len(_timed(model)), "RANKED": int(ranked)}
+    sizes = {"EVENTS": len(model.events), "TIMED_EVENTS": len(_timed(model)), "RANKED": int(ranked)}
+    return sizes | {"SWITCHES": len(model.switches)}
 
 
 def _timed(model: Model) -> list[Event]:

@@ -106,6 +106,7 @@ static void cross_back(Work *w, int64_t s, const real *start, real *xb) {
     cross(w, s, x);
     for (int n = c->count - 1; n >= 0; n--) {
         const Piece *p = &c->pieces[n];
+        memcpy(w->side, p->side, sizeof w->side);
         if (p->which >= TIMED_EVENTS) {
             moved = guarded_back(w, c, p, moved, xb);
         } else {
@@ -130,6 +131,7 @@ static void count_events(const Work *w, const Outputs *out) {
     const Crossing *c = w->crossing;
     for (int n = 0; n < c->fired_count; n++) out->happened[w->who[0] * EVENTS + c->fired[n]]++;
     out->endless[w->who[0]] |= c->endless;
+    out->uncut[w->who[0]] += c->uncut;
 }
 
 static void step_forward(Work *w, int64_t s, size_t slot, real *x) {

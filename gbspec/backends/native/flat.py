@@ -17,7 +17,7 @@ from gbspec.backends.printing import RECIPROCAL, Guard, Where, guarded, rebuild,
 from gbspec.diagnostics import Defect
 from gbspec.ir import NN, Expr, Model, Unknown, described, has_rule, ordered
 
-Kind = Literal["state", "condition", "input", "delay", "constant", "time", "number", "algebraic"]
+Kind = Literal["state", "condition", "input", "delay", "constant", "time", "number", "algebraic", "side"]
 
 
 class NotCoveredError(Exception):
@@ -215,5 +215,6 @@ def _leaves(model: Model) -> dict[sympy.Symbol, Leaf]:
         ("constant", [item.symbol for item in (*model.constants, *model.learnables)]),
         ("time", [model.time.symbol]),
         ("algebraic", [item.symbol for item in model.algebraics]),
+        ("side", [item.symbol for item in model.switches]),
     )
     return {symbol: Leaf(kind, i) for kind, symbols in groups for i, symbol in enumerate(symbols)}

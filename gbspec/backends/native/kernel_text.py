@@ -39,6 +39,7 @@ RHS_PLACES = {
     "constant": "w->constants[{}*TILE + t]",
     "time": "time[t]",
     "number": "w->numbers[{}]",
+    "side": "w->side[{}]",
 }
 OBSERVE_PLACES = RHS_PLACES | {
     "input": "R(w->data->row_inputs[(size_t)w->rows[t]*INPUTS + {}])",
@@ -88,7 +89,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     before, after = ["runtime", "networks", "work"], ["steps", "rows", "driver"]
     if model.events:
         before.insert(2, "crossing")
-        after[1:1] = ["events", "events_reverse"]
+        after[1:1] = ["events", "switches", "events_cut", "events_reverse"]
     if model.delays:
         after[1:1] = ["delays", "delays_reverse"]
     # Only least-squares fits need the Jacobian, and they run in double precision.

@@ -124,6 +124,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _found("late", "rows, DELAYS", "delayed values"),
         Field("happened", "how often each event happens", "int32_t", "trajectories, EVENTS", written=True),
         Field("endless", "whether events have no end", "int32_t", "trajectories", written=True),
+        Field("uncut", "sub-steps across switches of right-hand sides", "int32_t", "trajectories", written=True),
     ),
     # Intervals between consecutive key rows, ordered by their numbers of sub-steps.
     "Intervals": (

@@ -26,6 +26,7 @@ typedef struct {
 #if EVENTS
     real *starts; /* [checkpoint_interval][STATES]: states at the starts of steps */
     Crossing *crossing;
+    real side[SWITCHES + 1]; /* added to what decides at a switch of right-hand sides; 0: not held on one side */
 #endif
     real condition[CONDITIONS * TILE + 1], constants[CONSTANTS * TILE + 1], numbers[NUMBERS + 1];
     double kb[LEARNABLES * TILE + 1];

@@ -47,8 +47,10 @@ class Choice:
 
     def engine(self, problem: Problem, parameters: Parameters) -> Engine:
         """The engine of a problem."""
-        if self.kernel is not None:
-            return NativeEngine(problem, parameters, self.kernel)
+        own = self.kernel is None or len(self.kernel.model.switches) == len(problem.model.switches)
+        kernel = self.kernel if own else self.of_model(problem.model, type(problem.module)).kernel
+        if kernel is not None:
+            return NativeEngine(problem, parameters, kernel)
         return TorchEngine(problem, parameters, self.device, batch=self.batch)
 
 

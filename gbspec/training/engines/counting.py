@@ -15,15 +15,17 @@ from gbspec.training.engines.native import NativeEngine
 @dataclass(frozen=True)
 class Happened:
     """`counts` [N, events]: how often each event happens in each trajectory; `endless` [N]: whether events follow each
-    other without end in it, so that it has no solution from there on."""
+    other without end in it, so that it has no solution from there on; `uncut` [N]: its sub-steps that go across a switch
+    of right-hand sides where others are cut."""
 
     counts: NDArray[np.int32]
     endless: NDArray[np.bool_]
+    uncut: NDArray[np.int32]
 
 
 def happened(engine: Engine, theta: Array) -> Happened | None:
     """The events at a vector; None for a model without events, and for engines that do not count them (torch)."""
     if not engine.problem.model.events or not isinstance(engine, NativeEngine):
         return None
-    counts, endless = engine.happened(theta, engine.plan(theta))
-    return Happened(counts, endless > 0)
+    swept = engine.happened(theta, engine.plan(theta))
+    return Happened(swept.happened, swept.endless > 0, swept.uncut)

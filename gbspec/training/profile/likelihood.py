@@ -206,7 +206,7 @@ class _Profiler:
         options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
         info = run.member(member).info
         used = {name: float(v) for name in ("max_step", "tolerance") if isinstance(v := info.get(name), int | float)}
-        options = replace(options, **used)  # type: ignore[arg-type]  # both options are numbers
+        options = replace(options, **used, switches="on" if info.get("switches") else "off")  # type: ignore[arg-type]  # both options are numbers
         options = agreed(run.fit.backend, run.model, run.module, options)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights

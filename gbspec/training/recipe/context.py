@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.backends import GeneratedModule
+from gbspec.backends import GeneratedModule, load_module
 from gbspec.data import Estimated, Scales, Trajectories, scales_of
 from gbspec.ir import METHODS, Method, Model, RosenbrockW, linear_in_states
+from gbspec.passes import Switched, with_switches
 from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import (
@@ -43,7 +45,7 @@ class Context:
 
     `held` are the trajectories (or a single trajectory's last rows) excluded by `--holdout`; their own initial states
     are fitted, but they have no influence on shared parameters. `estimated` is the noise by which channels are weighed,
-    once residuals have shown it.
+    once residuals have shown it. `cutting`: whether steps end where right-hand sides switch, from now on.
     """
 
     model: Model
@@ -63,6 +65,7 @@ class Context:
     estimated: Estimated | None = None
     unsized: Mask | None = None
     """The states [n_states] whose size nothing declares, so that their starts are solved for; None: no such state."""
+    cutting: bool = False
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
     @property
@@ -84,11 +87,14 @@ class Context:
         """The largest step of the solver, or the tolerance of adaptive ones, as stored with the weights."""
         if self.adaptive:
             return {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
-        return {"max_step": self.max_step * fraction}
+        return {"max_step": self.max_step * fraction} | ({"switches": 1.0} if self.cutting else {})
 
     def finer(self, fraction: float) -> Context:
         """The same data at `fraction` of the largest step."""
-        return self if self.adaptive else replace(self, max_step=fraction * self.max_step, _packed={})
+        if self.adaptive:
+            return self
+        out = replace(self, max_step=fraction * self.max_step, _packed={})
+        return out.cut() if self.cutting else out
 
     def control(self, fraction: float = 1.0) -> Control | None:
         """The control of adaptive steps; None for fixed ones."""
@@ -113,7 +119,28 @@ class Context:
 
     def posed(self, packed: Packed, forcing: Forcing, fraction: float = 1.0) -> Problem:
         """The problem of packed data."""
-        return Problem(self.model, self.module, packed, forcing, self.scaling(packed), self.control(fraction))
+        switched, module = self._cut if self.cutting else (None, self.module)
+        model = self.model if switched is None or switched.model is None else switched.model
+        return Problem(model, module, packed, forcing, self.scaling(packed), self.control(fraction))
+
+    @cached_property
+    def _cut(self) -> tuple[Switched, GeneratedModule]:
+        if self.adaptive:
+            return Switched(None, "steps are adaptive"), self.module
+        switched = with_switches(self.model)
+        made = None if switched.model is None else load_module(switched.model, self.method).random(self.seed)
+        return switched, made or self.module
+
+    @property
+    def switched(self) -> Switched:
+        """The model whose steps end where its right-hand sides switch."""
+        return self._cut[0]
+
+    def cut(self) -> Context:
+        """The same, with steps that end where right-hand sides switch."""
+        out = replace(self, cutting=True)
+        out.__dict__["_cut"] = self._cut  # generated once
+        return out
 
     def problem(self, blend: float = 1.0, fraction: float = 1.0, draw: int | None = None) -> Problem:
         """The training problem with teacher forcing of strength `blend`."""
@@ -180,6 +207,7 @@ def build_context(
         choose(model, module, options, packed.substeps),
     )
     context._packed[1.0, None] = packed
+    context.cutting = options.switches == "on" and context.switched.model is not None
     return context
 
 

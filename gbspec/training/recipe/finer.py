@@ -110,7 +110,7 @@ class FinerStep(LevenbergMarquardt):
     def __init__(
         self, of: LevenbergMarquardt, remark: str, elsewhere: Callable[[Array], Array] = lambda theta: theta
     ) -> None:
-        super().__init__(StageName.FINER.value, of.total, of.engine_at, of.options)
+        super().__init__(of.name, of.total, of.engine_at, of.options)
         self.remark, self.elsewhere = remark, elsewhere
 
     def begin(self, theta: Array) -> State:

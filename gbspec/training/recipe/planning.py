@@ -15,6 +15,7 @@ from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe import populations
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, finer_step
 from gbspec.training.recipe.further import Further
@@ -140,6 +141,7 @@ class _Planner:
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
+            cut_steps(context, known, self.effort),
             *(
                 finer_step(context, number, known, self.effort)
                 for number in range(1, HALVINGS[self.options.effort] + 1)
@@ -228,7 +230,8 @@ class _Planner:
         total = most_iterations(StageName.FURTHER, self.options.effort)
         further = Planned(StageName.FURTHER, total, make, possible=lambda r: self._last_of_networks(r) is not None)
         high = self.options.effort == "high"
-        return [*finer(self.effort), *([further, *finer("high")] if high and self.effort != "high" else [])]
+        cut = cut_steps(self.context, self._last_of_networks, self.effort)
+        return [cut, *finer(self.effort), *([further, *finer("high")] if high and self.effort != "high" else [])]
 
     # ---------------------------------------------------------------- problems
     def _at(self, blend: float, fraction: float = 1.0, parameters: Parameters | None = None) -> At:

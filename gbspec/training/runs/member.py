@@ -22,7 +22,17 @@ from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquar
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
-from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
+from gbspec.training.recipe import (
+    Context,
+    Planned,
+    Reached,
+    build_context,
+    plan,
+    prepare,
+    recognition,
+    said_of_switches,
+    step_fraction,
+)
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.populations import with_population
@@ -42,7 +52,7 @@ SAVING_SHARE = 0.05
 NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AGAIN, StageName.WHOLE_STARTS})
 """Stages that prepare a fit; alone they are no result."""
 
-MAYBE = frozenset({StageName.FINER, StageName.QUADRATURE})
+MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.QUADRATURE})
 """Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
@@ -112,6 +122,7 @@ class _Runner:
         self.directory, self.progress = directory, progress
         self.position = position
         context.estimated = position.estimated
+        context.cutting = context.cutting or StageName.CUT in [stage.name for stage in position.stages]
         self.plan = plan(context, parameters)
         # Stages that keep measured initial values leave their entries at zero, which represents the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
@@ -168,11 +179,13 @@ class _Runner:
             if position.iteration == 0:
                 position.state = stage.begin(position.theta)
                 position.stages.append(StageRecord(stage.name, 0, None, 0.0))
+            self.context.cutting = self.context.cutting or planned.name is StageName.CUT
             self._take_steps(stage, stop)
         except ComputationError as error:
             position.notes.append(self._after_failure(planned, error))
             if position.iteration == 0:
                 del position.stages[len(begun) :]
+                self.context.cutting = self.context.cutting and planned.name is not StageName.CUT
                 self._weigh(weights)
                 return
         position.marks[planned.name] = position.theta
@@ -340,6 +353,7 @@ class _Runner:
             known = certainties(self.context, self.parameters, position.best, names, instance)
             known = known.widened(factor)
             known.write(self.directory)
+            result.left += said_of_switches(self.context, self.parameters, position.best, names)
             if self.context.model.events:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)

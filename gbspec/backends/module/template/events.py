@@ -41,7 +41,7 @@ class _Events:
         `before` are state and inputs before what arrived at t."""
         import torch
 
-        span = _Span(self, t, h, x, u)
+        span = self._span(t, h, x, u)
         with torch.no_grad():
             on, pending, turn, rated = self._start(span, x.detach(), _tensor(origin, x), before)
         at, left = span.begin, span.length
@@ -64,6 +64,12 @@ class _Events:
             pending = found.unsqueeze(-1) & (wait <= (first + 0.01 * self.band).unsqueeze(-1))
             x, on, turn = self._happen(span, at, x, pending, on, turn)
         return self._without(found | gaps.endless, x, at)
+
+    def _span(self, t: Any, h: Any, x: Any, u: Any) -> Any:
+        return _Span(self, t, h, x, u)
+
+    def _turned(self, span: Any, chosen: Any) -> None:
+        """Called where events were chosen, before conditions are looked at again."""
 
     def _without(self, endless: Any, x: Any, at: Any) -> Any:
         """The states, NaN in the rows in which events follow each other without end."""
@@ -253,6 +259,7 @@ class _Events:
         pending, on, turn = flags
         u, fired = span.inputs(at), chosen[..., self.timed :]
         earlier = self._guards(at, x, u, self.quiet)
+        self._turned(span, chosen)
         guard, rate = self._rated(span, at, after)
         zone = 2 * self.band * rate.abs()
         acting = chosen.any(-1, keepdim=True)

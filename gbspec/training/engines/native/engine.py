@@ -19,7 +19,7 @@ from gbspec.training.engines.native.delays import delayed_jacobian
 from gbspec.training.engines.native.gradient import HalfSquares
 from gbspec.training.engines.native.inputs import KernelInputs, Latest
 from gbspec.training.engines.native.jacobian import jacobian
-from gbspec.training.engines.native.kernel import Counts, Kernel, Swept
+from gbspec.training.engines.native.kernel import Kernel, Swept
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.torch import planned
 from gbspec.training.problem import Integers, Parameters, Path, Problem, residual_slopes
@@ -57,10 +57,9 @@ class NativeEngine:
             before, mean = swept.states, self._observed(vector, swept, inputs.constants)
         return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())
 
-    def happened(self, theta: Array, path: Path) -> tuple[Counts, Counts]:
-        """How often each event happens in each trajectory [N, events], and whether events have no end in it [N]."""
-        swept = self.kernel.sweep(self.tables(path), self._latest.at(self.problem, self.parameters, theta), False)
-        return swept.happened, swept.endless
+    def happened(self, theta: Array, path: Path) -> Swept:
+        """Solutions with how often each event happens in each trajectory [N, events], and whether these have no end."""
+        return self.kernel.sweep(self.tables(path), self._latest.at(self.problem, self.parameters, theta), False)
 
     def _observed(self, vector: Tensor, swept: Swept, constants: Tensor) -> Array:
         """The channels at the key rows [R, C], from the states and delayed values there."""

@@ -32,7 +32,7 @@ class Swept:
     constants [N, n_learnables], initial states [N, n_states], amounts of doses [E] and, if lags are learned, their
     times of arrival [E], times of delays [N, n_lags] (zeros if no gradient was requested). `late` [R, n_delays]:
     delayed values at the key rows; `happened` [N, events]: how often each event happens; `endless` [N]: whether events
-    follow each other without end.
+    follow each other without end; `uncut` [N]: sub-steps that could not be cut where right-hand sides switch.
     """
 
     residuals: Array
@@ -46,6 +46,7 @@ class Swept:
     late: Array
     happened: Counts = field(init=False)
     endless: Counts = field(init=False)
+    uncut: Counts = field(init=False)
 
     @classmethod
     def zeros(cls, tables: Tables, weights: int, sizes: dict[str, int]) -> Swept:
@@ -55,7 +56,7 @@ class Swept:
         of_delays = ((n, sizes["LAGS"]), (rows, sizes["DELAYS"]))
         found = cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals, *of_delays)))
         found.happened = np.zeros((n, sizes["EVENTS"]), dtype=np.int32)
-        found.endless = np.zeros(n, dtype=np.int32)
+        found.endless, found.uncut = (np.zeros(n, dtype=np.int32) for _ in range(2))
         return found
 
     def filled_by(self, library: Library) -> Struct:

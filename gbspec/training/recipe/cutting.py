@@ -1,0 +1,124 @@
+"""Steps that end where right-hand sides switch: whether a fit needs them, and the stage that continues it with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import sympy
+from sympy.core.relational import Relational
+
+from gbspec.arrays import Array
+from gbspec.ir import Model, in_language
+from gbspec.training.engines import Engine, happened, residual_table
+from gbspec.training.optimise import LevenbergMarquardt, Stage
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.finer import STEADY, FinerStep, LastFit, step_shows
+from gbspec.training.recipe.planned import Planned, Reached, step_fraction
+from gbspec.training.stages import Effort, StageName, most_iterations
+
+WORTH = 0.25
+"""Steps are cut where that divides the effect of half the step by at least four: switches are the reason then."""
+
+
+def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effort: Effort) -> Planned:
+    """Continues the last fit with steps that end where right-hand sides switch: where a constant occurs in conditions
+    alone, of which other steps have no derivative, and where the step's error shows and switches are the reason for it,
+    and the step is not one that the user gave."""
+    most = most_iterations(StageName.CUT, effort)
+
+    def make(reached: Reached) -> Stage:
+        found, fraction, cut = last(reached), step_fraction(reached.begun), context.cut()
+        assert found is not None, "the stage has begun"
+        layout, blend = found.layout, found.blend
+        chosen = replace(found.options(reached.theta), damping=STEADY)
+        newton = LevenbergMarquardt(StageName.CUT, most, lambda i: cut.engine(layout, blend, fraction, i), chosen)
+        model = context.switched.model
+        assert model is not None, "the stage has begun"
+        only = ", ".join(f"`{name}`" for name in only_in_switches(context.model, model))
+        why = f"only the times of switches depend on {only}" if only else "the error of steps across showed"
+        return FinerStep(newton, f"steps end {_places(model)}, since {why}")
+
+    def shows(reached: Reached) -> bool:
+        found = last(reached)
+        wanted = context.options.switches == "auto" and not context.cutting
+        if not wanted or found is None or context.switched.model is None:
+            return False
+        if only_in_switches(context.model, context.switched.model):
+            return True
+        if context.options.max_step is not None:
+            return False
+        size = step_fraction(reached.begun)
+        now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
+        if not step_shows(now, half, reached.theta, found.constants):
+            return False
+        before, after = (_effect(each, found, reached.theta, size) for each in (context, context.cut()))
+        return after <= WORTH * before
+
+    return Planned(StageName.CUT, most, make, possible=shows)
+
+
+def _effect(context: Context, found: LastFit, theta: Array, size: float) -> float:
+    """The root mean square by which half the step changes residuals; infinite where a solution blows up."""
+    now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
+    seen = now.problem.seen
+    with np.errstate(all="ignore"):
+        change = (residual_table(now, theta) - residual_table(half, theta))[seen]
+        effect = float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
+    return effect if np.isfinite(effect) else np.inf
+
+
+def only_in_switches(model: Model, cut: Model) -> tuple[str, ...]:
+    """The learned constants that only the conditions of switches depend on."""
+    fixed = [*(channel.value for channel in model.channels), *(s.initial.value for s in model.states)]
+    fixed += [part for dose in model.doses for part in (dose.fraction, dose.lag, dose.duration)]
+    events = [part for e in model.events for part in (e.guard, e.rank, *(value for _, value in e.values))]
+    timings = [part for e in model.events if e.timing for part in (e.timing.at, e.timing.every, e.timing.until)]
+    values = model.inlined([part for part in (*cut.balances, *fixed, *events, *timings) if part is not None])
+    smooth = {symbol for value in values for symbol in _outside_conditions(value)}
+    decide = {symbol for value in model.inlined([each.guard for each in cut.switches]) for symbol in value.free_symbols}
+    return tuple(item.name for item in model.learnables if item.symbol in decide - smooth)
+
+
+def _outside_conditions(node: sympy.Basic) -> set[sympy.Basic]:
+    """The symbols of an expression, without those that occur in comparisons alone."""
+    if isinstance(node, Relational):
+        return set()
+    return {node} if isinstance(node, sympy.Symbol) else {s for part in node.args for s in _outside_conditions(part)}
+
+
+def _places(model: Model) -> str:
+    """Where steps end, in words."""
+    texts = [min(in_language(each.guard), in_language(-each.guard), key=_readable) for each in model.switches]
+    return "where " + ", ".join(f"`{text}`" for text in texts) + " changes its sign"
+
+
+def _readable(text: str) -> tuple[bool, int]:
+    return text.startswith("-"), len(text)
+
+
+def said_of_switches(context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]) -> list[str]:
+    """Sentences about the switches of right-hand sides at the end of a fit."""
+    switched, options = context.switched, context.options
+    skipped = f" ({'; '.join(switched.skipped)})" if switched.skipped else ""
+    if not context.cutting:
+        asked = options.switches == "on"
+        why = switched.reason or (f"nothing to cut at{skipped}" if skipped else "no right-hand side switches")
+        return [f"`--switches on`: steps do not end where right-hand sides switch: {why}"] if asked else []
+    said = [] if not skipped else [f"steps do not end at all switches of right-hand sides{skipped}"]
+    engine = context.engine(parameters, 0.0, step_fraction(stages))
+    return said + _uncut(engine, theta)
+
+
+def _uncut(engine: Engine, theta: Array) -> list[str]:
+    """A sentence where solutions slide along a switch, or touch it, so that steps go across it."""
+    found = happened(engine, theta)
+    count = 0 if found is None else int(found.uncut.sum())
+    if not count:
+        return []
+    return [
+        f"{count} of {engine.problem.packed.substeps} steps go across a switch of the right-hand sides, since "
+        "solutions slide along it or touch it: there they are as exact as without `--switches`"
+    ]

@@ -1,0 +1,92 @@
+"""Fits of models whose right-hand sides switch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.data import Trajectories, Trajectory
+from gbspec.passes import with_switches
+from gbspec.training import TrainOptions, train
+from gbspec.training.recipe.cutting import only_in_switches
+from tests.switches.models import OVERFLOW, RELAY, SEVERAL
+from tests.training.conftest import model_of
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+TANK = """model tank
+time t from 0
+state h in [0, 5]
+learn rim = 1.2 in [0.5, 2]
+learn q = 1.4 in [0.2, 5]
+h' = 1 - if(h > rim, q, 0.2)*h
+initial h = 0.2
+observe h
+"""
+RIM, Q = 1.07, 0.8
+FAST = TrainOptions(workers=1, effort="low", backend="torch")
+
+
+def filled(times: np.ndarray) -> Trajectories:
+    """The exact level: it rises towards 5 up to the rim, then towards 1/Q (beyond it)."""
+    switch = -np.log((5 - RIM) / (5 - 0.2)) / 0.2
+    before = 5 - 4.8 * np.exp(-0.2 * times)
+    values = np.where(times < switch, before, 1 / Q - (1 / Q - RIM) * np.exp(-Q * (times - switch)))[:, None]
+    item = Trajectory("1", 0.0, times, values, np.ones_like(values), np.full_like(values, np.nan), np.zeros(0))
+    return Trajectories((item,), ("h",))
+
+
+DATA = filled(np.linspace(0.3, 6.0, 14))
+
+
+def test_steps_are_cut_where_a_threshold_is_learned(tmp_path: Path) -> None:
+    run = train(model_of(TANK), DATA, FAST, tmp_path / "run")
+    stage = next(stage for stage in run.fit.members[0].stages if stage.name == "cut steps")
+    assert stage.remark is not None and "`h - rim` changes its sign" in stage.remark and "`rim`" in stage.remark
+    assert run.fit.constants["rim"].value == pytest.approx(RIM, rel=1e-5)
+    assert run.fit.constants["q"].value == pytest.approx(Q, rel=1e-5)
+    assert run.member().info["switches"]
+
+
+def test_steps_stay_as_they_are_when_told_so(tmp_path: Path) -> None:
+    run = train(model_of(TANK), DATA, replace(FAST, switches="off"), tmp_path / "run")
+    assert "cut steps" not in [stage.name for stage in run.fit.members[0].stages]
+    assert abs(run.fit.constants["rim"].value - RIM) > 1e-4 and "switches" not in run.member().info
+
+
+def test_cutting_from_the_first_step(tmp_path: Path) -> None:
+    run = train(model_of(TANK), DATA, replace(FAST, switches="on", max_step=0.3), tmp_path / "run")
+    assert "cut steps" not in [stage.name for stage in run.fit.members[0].stages]
+    assert run.fit.constants["rim"].value == pytest.approx(RIM, rel=1e-4)
+
+
+def test_what_is_not_cut_is_told(tmp_path: Path) -> None:
+    text = TANK.replace("state h", "state s[1..2] in [0, 2]\nstate h").replace("observe h", "s[i]' = -s[i]\nobserve h")
+    text = text.replace("initial h", "initial s[i] = 1\ninitial h")
+    run = train(model_of(text), DATA, replace(FAST, switches="on", epochs=1, method="lm"), tmp_path / "run")
+    assert any("do not end where right-hand sides switch: the model has arrays" in text for text in run.fit.warnings)
+
+
+def test_constants_that_only_conditions_know() -> None:
+    found = {}
+    for text in (OVERFLOW, RELAY, SEVERAL):
+        model = model_of(text)
+        cut = with_switches(model).model
+        assert cut is not None
+        found[model.name] = only_in_switches(model, cut)
+    assert found == {"overflow": (), "relay": ("a",), "several": ()}
+
+
+def test_what_switches_by_itself_is_no_switch() -> None:
+    text = "model m\ntime t\nstate x\ninput u held\nx' = if(mod(t, 2) < 1, 1, 0) + max(u, 1) - x\nobserve x\n"
+    assert with_switches(model_of(text)).model is None
+
+
+def test_a_switch_that_an_unknown_function_decides_is_left_out() -> None:
+    text = "model m\ntime t\nstate x\nunknown f(x) by mlp(4)\nx' = max(f, 0.1) - abs(x)\nobserve x\n"
+    found = with_switches(model_of(text))
+    assert found.model is not None and len(found.model.switches) == 1
+    assert "an unknown function decides" in found.skipped[0]
