@@ -1,4 +1,4 @@
-"""Events of a Model: what happens at a time, or when a condition becomes true; and where its right-hand sides switch."""
+"""Events of a Model: what happens at a time, or when a condition becomes true; and where right-hand sides switch."""
 
 from __future__ import annotations
 

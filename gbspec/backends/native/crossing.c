@@ -27,7 +27,7 @@ typedef struct {
     int on[GUARDS + 1], pending[EVENTS], known;
     real guard[GUARDS + 1], rate[GUARDS + 1]; /* where `known`: at the start of the current part */
     int count, fired_count, endless; /* endless: events follow each other without end, and there is no solution */
-    int turns, uncut, suspended[SWITCHES + 1], released[SWITCHES + 1]; /* of switches: see switches.c */
+    int turns, uncut, slid, suspended[SWITCHES + 1], released[SWITCHES + 1]; /* of switches: see switches.c */
     int16_t fired[(CLOSE + 2) * CASCADE];
     Piece pieces[CLOSE + 2];
     real chain[(CASCADE + 1) * STATES];

@@ -118,7 +118,11 @@ static void cross(Work *w, int64_t s, real *x) {
         const int ended = waits(w, c, at, left, x, wait, end), which = first_of(wait);
         const int found = isfinite(wait[which]);
         memcpy(p->x, x, sizeof p->x);
+#if SWITCHES
+        Held held;
         memcpy(p->side, w->side, sizeof p->side);
+        keep(c, left, &held);
+#endif
         shorts = found && wait[which] <= c->band ? shorts + 1 : 0;
         falling = found && wait[which] < 0.99 * last ? falling + 1 : 0;
         if (shorts > SHORT || (falling > FALLING && wait[which] <= NEAR * c->band)) break;
@@ -134,6 +138,9 @@ static void cross(Work *w, int64_t s, real *x) {
         for (int k = 0; k < EVENTS; k++) c->pending[k] = wait[k] <= wait[which] + 0.01 * c->band;
         p = new_piece(c, at);
         happen(w, c, p, at, x);
+#if SWITCHES
+        if (c->slid) p = go_back(w, c, &held, x), at = p->at, left = held.left;
+#endif
     }
     p->size = left;
     c->endless = 1;

@@ -106,7 +106,7 @@ static void cross_back(Work *w, int64_t s, const real *start, real *xb) {
     cross(w, s, x);
     for (int n = c->count - 1; n >= 0; n--) {
         const Piece *p = &c->pieces[n];
-        memcpy(w->side, p->side, sizeof w->side);
+        if (SWITCHES) memcpy(w->side, p->side, sizeof w->side);
         if (p->which >= TIMED_EVENTS) {
             moved = guarded_back(w, c, p, moved, xb);
         } else {

@@ -8,7 +8,7 @@
 /* Nothing is held, and nothing suspended, at the start of a sub-step. */
 static void open_sides(Work *w, Crossing *c) {
     for (int j = 0; j < SWITCHES; j++) w->side[j] = 0, c->suspended[j] = c->released[j] = 0;
-    c->turns = c->uncut = 0;
+    c->turns = c->uncut = c->slid = 0;
 }
 
 /* Where a switch is, from its guards: which of its two events are not to come, and the side. */
@@ -27,6 +27,32 @@ static void place_sides(Work *w, Crossing *c) {
         c->pending[TIMED_EVENTS + up] = c->pending[TIMED_EVENTS + up + 1] = 0;
         if (fabs(c->guard[up]) <= 2 * c->band * fabs(c->rate[up])) c->known = 0; /* its rate depends on the side */
     }
+}
+
+/* What is true at the start of a part, should it be gone back to. */
+typedef struct {
+    int on[GUARDS + 1];
+    double turn[TIMED_EVENTS + 1], left;
+} Held;
+
+static void keep(const Crossing *c, double left, Held *held) {
+    memcpy(held->on, c->on, sizeof held->on);
+    memcpy(held->turn, c->turn, sizeof held->turn);
+    held->left = left;
+}
+
+/* Goes back to the start of the last part, with nothing held at the switch along which its end slides. */
+static Piece *go_back(Work *w, Crossing *c, const Held *held, real *x) {
+    Piece *p = &c->pieces[--c->count];
+    c->fired_count = p->first;
+    p = &c->pieces[c->count - 1];
+    p->which = -1;
+    memcpy(x, p->x, sizeof p->x);
+    memcpy(c->on, held->on, sizeof held->on);
+    memcpy(c->turn, held->turn, sizeof held->turn);
+    for (int i = 0; i < SWITCHES; i++) w->side[i] = c->released[i] ? 0 : p->side[i];
+    c->known = c->slid = 0;
+    return p;
 }
 
 /* Holds nothing any more. */
@@ -49,7 +75,7 @@ static void follow_sides(Work *w, Crossing *c, int k, const real *earlier, const
                 c->on[j] = (c->on[j] || j == k - TIMED_EVENTS) && goes_on;
             }
             /* A quantity that does not go on to the side that it has reached slides. */
-            if (!c->on[k - TIMED_EVENTS]) suspend(w, c, i);
+            if (!c->on[k - TIMED_EVENTS]) suspend(w, c, i), c->slid = 1;
             if (c->suspended[i]) c->pending[event] = c->pending[event + 1] = 0;
         } else if (guard[up] != earlier[up]) {
             /* An event that changes the state may put it on another side, without a switch on the way. */

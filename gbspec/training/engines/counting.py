@@ -15,8 +15,8 @@ from gbspec.training.engines.native import NativeEngine
 @dataclass(frozen=True)
 class Happened:
     """`counts` [N, events]: how often each event happens in each trajectory; `endless` [N]: whether events follow each
-    other without end in it, so that it has no solution from there on; `uncut` [N]: its sub-steps that go across a switch
-    of right-hand sides where others are cut."""
+    other without end in it, so that it has no solution from there on; `uncut` [N]: its sub-steps that go across a
+    switch of right-hand sides where others are cut."""
 
     counts: NDArray[np.int32]
     endless: NDArray[np.bool_]

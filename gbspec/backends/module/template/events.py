@@ -59,14 +59,23 @@ class _Events:
                 return self._without(gaps.endless, end, at)
             size = torch.where(found, torch.where(found, first, torch.zeros_like(first)), left)
             shift = self._correction(span, at, size, x, wait, turn, found)
+            held = self._kept(span, at, left, x, on, turn)
             x = span.step(at, size + shift, x, self.given)
             at, left = at + size + shift, torch.where(found, left - size - shift, torch.zeros_like(left))
             pending = found.unsqueeze(-1) & (wait <= (first + 0.01 * self.band).unsqueeze(-1))
             x, on, turn = self._happen(span, at, x, pending, on, turn)
+            at, left, x, on, turn = self._settled(span, held, (at, left, x, on, turn))
         return self._without(found | gaps.endless, x, at)
 
     def _span(self, t: Any, h: Any, x: Any, u: Any) -> Any:
         return _Span(self, t, h, x, u)
+
+    def _kept(self, span: Any, *place: Any) -> Any:
+        """What is known of a place, should it be gone back to."""
+
+    def _settled(self, span: Any, held: Any, place: Any) -> Any:
+        """Where a step goes on: at the place that it has reached."""
+        return place
 
     def _turned(self, span: Any, chosen: Any) -> None:
         """Called where events were chosen, before conditions are looked at again."""

@@ -10,8 +10,8 @@ from gbspec.backends.module.template.events import _Events, _Span
 # <body>
 # ---------------------------------------------------------------------- switches
 # The last `equations.switches` pairs of events are switches of right-hand sides: they set nothing, and happen where a
-# quantity becomes positive, and negative. While a part of a step is taken, right-hand sides are held on one side of each
-# by a number behind the inputs, which is added to that quantity.
+# quantity becomes positive, and negative. While a part of a step is taken, right-hand sides are held on one side of
+# each by a number behind the inputs, which is added to that quantity.
 
 _HELD = 1e30  # a number beyond every such quantity
 _MOST_SWITCHES = 6  # most times of switches in one step
@@ -20,9 +20,9 @@ _MOST_SWITCHES = 6  # most times of switches in one step
 class _Switched(_Events):
     """Steps that are cut where right-hand sides switch, besides events.
 
-    Where that cannot be done, the rest of a step is taken as without: solutions that slide along a switch, since both
-    sides lead to it; more than `_MOST_SWITCHES` switches; a part that ends on the other side without a switch on the way.
-    Where a right-hand side has no value beyond its switch, steps are cut there, but nothing is held.
+    Where that cannot be done, the rest of a step is taken as without: from before a switch along which the solution
+    slides, since both sides lead to it; more than `_MOST_SWITCHES` switches; a part that ends on the other side without a switch on its
+    way. Where a right-hand side has no value beyond its switch, steps are cut there, but nothing is held.
     """
 
     def __init__(self, equations: Any, given: Any, quiet: Any, band: float, strict: bool) -> None:
@@ -87,6 +87,20 @@ class _Switched(_Events):
         beyond = guard.abs() > 4 * self.band * rate.abs()
         return ((guard * span.sides < 0) & beyond).any(-1) & (left > 0)
 
+    def _kept(self, span: Any, *place: Any) -> Any:
+        return place, span.sides
+
+    def _settled(self, span: Any, held: Any, place: Any) -> Any:
+        import torch
+
+        if not span.slid.any():
+            return place
+        rows, (earlier, sides) = span.slid, held
+        span.sides = torch.where(rows.unsqueeze(-1) & ~span.released, sides, span.sides)
+        span.slid = torch.zeros_like(rows)
+        wide = [rows if then.ndim == rows.ndim else rows.unsqueeze(-1) for then in earlier]
+        return tuple(torch.where(*each) for each in zip(wide, earlier, place, strict=True))
+
     def _turned(self, span: Any, chosen: Any) -> None:
         import torch
 
@@ -109,6 +123,7 @@ class _Switched(_Events):
         # A quantity that does not go on to the side that it has reached slides.
         slides = fired & ~own
         span.suspend(slides[..., ::2] | slides[..., 1::2])
+        span.slid = span.slid | slides.any(-1)
         waiting = flags[0][..., self.first :] & ~fired & ~jumped & ~span.pairs(span.suspended)
         return torch.cat([pending[..., : self.first], waiting], -1), on, turn
 
@@ -123,6 +138,7 @@ class _Sides(_Span):
         self.sides = torch.zeros((*x.shape[:-1], events.equations.switches), dtype=x.dtype, device=x.device)
         self.suspended, self.released = (torch.zeros_like(self.sides) > 0 for _ in range(2))
         self.count = torch.zeros(x.shape[:-1], dtype=torch.int64, device=x.device)
+        self.slid = self.count > 0
 
     def inputs(self, time: Any) -> Any:
         import torch
