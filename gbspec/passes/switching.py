@@ -2,9 +2,9 @@
 
 `if`, `max`, `min`, `abs` and `sign` of what changes continuously have a kink or a jump where the quantity that decides
 passes zero. A step across it has the order 1 or 2, whatever its method. The Model here has such places as events
-without effects, so that steps end at them; and its right-hand sides are held on one side of each while a part of a step is
-taken (`gbspec.ir.Switch`), so that no Runge-Kutta stage sees the other one. Channels, resets and conditions of events
-stay as they are.
+without effects, so that steps end at them; and its right-hand sides are held on one side of each while a part of a step
+is taken (`gbspec.ir.Switch`), so that no Runge-Kutta stage sees the other one. Channels, resets and conditions of
+events stay as they are.
 """
 
 from __future__ import annotations

@@ -83,8 +83,8 @@ def only_compared(sites: Sites, observed: set[str], table: Table, findings: Find
                 f"`{name}` occurs only where values jump, so that only the times of jumps depend on it",
                 declaration.span,
                 labels=[Label(span, "in a comparison, or in a function that jumps") for span in places[:4]],
-                help="training learns it where a state passes it, since steps end there then; else let it enter smoothly, for "
-                f"example by `1/(1 + exp(-(x - {name})/width))`, or make it a `const`",
+                help="training learns it where a state passes it, since steps end there then; else let it enter "
+                f"smoothly, for example by `1/(1 + exp(-(x - {name})/width))`, or make it a `const`",
                 subject=name,
             )
 

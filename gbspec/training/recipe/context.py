@@ -87,7 +87,8 @@ class Context:
         """The largest step of the solver, or the tolerance of adaptive ones, as stored with the weights."""
         if self.adaptive:
             return {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
-        return {"max_step": self.max_step * fraction} | ({"switches": 1.0} if self.cutting else {})
+        found: dict[str, float | None] = {"max_step": self.max_step * fraction}
+        return found | {"switches": 1.0} if self.cutting else found
 
     def finer(self, fraction: float) -> Context:
         """The same data at `fraction` of the largest step."""

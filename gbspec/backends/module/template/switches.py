@@ -21,8 +21,9 @@ class _Switched(_Events):
     """Steps that are cut where right-hand sides switch, besides events.
 
     Where that cannot be done, the rest of a step is taken as without: from before a switch along which the solution
-    slides, since both sides lead to it; more than `_MOST_SWITCHES` switches; a part that ends on the other side without a switch on its
-    way. Where a right-hand side has no value beyond its switch, steps are cut there, but nothing is held.
+    slides, since both sides lead to it; after more than `_MOST_SWITCHES` switches; where a part ends on the other side
+    without a switch on its way. Where a right-hand side has no value beyond its switch, steps are cut, but nothing is
+    held.
     """
 
     def __init__(self, equations: Any, given: Any, quiet: Any, band: float, strict: bool) -> None:
