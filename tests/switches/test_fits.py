@@ -13,9 +13,11 @@ from gbspec.backends.native.compiler import find_compiler
 from gbspec.data import Trajectories, Trajectory
 from gbspec.passes import with_switches
 from gbspec.training import TrainOptions, train
+from gbspec.training.profile.likelihood import profile_constant
+from gbspec.training.progress import Update
 from gbspec.training.recipe.cutting import only_in_switches
 from tests.switches.models import OVERFLOW, RELAY, SEVERAL
-from tests.training.conftest import model_of
+from tests.training.conftest import Recorder, model_of
 
 try:
     find_compiler()
@@ -56,6 +58,27 @@ def test_steps_are_cut_where_a_threshold_is_learned(tmp_path: Path) -> None:
     assert run.fit.constants["rim"].value == pytest.approx(RIM, rel=1e-5)
     assert run.fit.constants["q"].value == pytest.approx(Q, rel=1e-5)
     assert run.member().info["switches"]
+
+
+class AtTheCut(Recorder):
+    """Interrupts in the stage that continues with cut steps."""
+
+    def update(self, update: Update) -> None:
+        self.interrupt_after = len(self.updates) + 1 if update.stage == "cut steps" else None
+        super().update(update)
+
+
+def test_a_run_that_was_stopped_resumes_with_cut_steps_and_is_profiled_with_them(tmp_path: Path) -> None:
+    whole = train(model_of(TANK), DATA, FAST, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        train(model_of(TANK), DATA, FAST, tmp_path / "cut", AtTheCut())
+    resumed = train(model_of(TANK), DATA, replace(FAST, resume=True), tmp_path / "cut")
+    assert {k: c.value for k, c in resumed.fit.constants.items()} == {
+        k: c.value for k, c in whole.fit.constants.items()
+    }
+    found = profile_constant(whole, "rim", DATA, points=4)  # other steps would have their minimum elsewhere
+    assert found.low is not None and found.high is not None
+    assert RIM - 1e-5 < found.low < found.high < RIM + 1e-5
 
 
 def test_steps_stay_as_they_are_when_told_so(tmp_path: Path) -> None:
