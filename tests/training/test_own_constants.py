@@ -75,7 +75,9 @@ def test_each_trajectory_has_its_best_minimum_and_an_interval(run: Run) -> None:
 def test_it_is_shown(run: Run) -> None:
     lines = run_summary(run).splitlines()
     assert any(line.split() == ["trajectory", "speed", "interval", "size", "interval"] for line in lines)
-    assert any(line.startswith("wave 3") and "9.9" in line for line in lines)
+    (last,) = (line.removeprefix("wave 3").split() for line in lines if line.startswith("wave 3"))
+    assert float(last[0]) == pytest.approx(9.9, abs=0.05)
+    assert float(last[1]) < float(last[0]) < float(last[3])
     assert len(tables.own_constants(run).rows) == 8
     figure = draw("per-trajectory", run, waves(0.02))
     assert len(figure.axes) == 2
