@@ -29,6 +29,7 @@ class TrainKeywords(TypedDict, total=False):
     max_step: float | None
     solver: str
     tolerance: float | None
+    switches: Literal["auto", "on", "off"]
     method: Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
     stages: str | None
     effort: Effort
