@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from scipy.optimize import least_squares
 
+import gbspec
 from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
@@ -47,3 +50,30 @@ def test_constants_are_found_without_noise(text: str) -> None:
     )
     if model.complete:
         assert constants == pytest.approx({"pKa": 4.75, "k": 0.3, "c": 0.03}, rel=1e-8)
+
+
+DIODE = """model diode
+time t from 0
+input u in [0, 3] held
+state q in [0, 3]
+algebraic v in [0, 3] = 0.5
+learn R = 1 in [0.2, 5]
+unknown i(v in [0, 3]) zero at v = 0, increasing in v by mlp(3)
+q' = (v - q)/2
+equation node: (u - v)/R = i(v) + (v - q)
+initial q = 0
+observe v
+observe q
+"""
+
+
+@pytest.mark.usefixtures("quick_fits")
+def test_an_unknown_function_inside_an_equation_is_trained(tmp_path: Path) -> None:
+    """The warm start cannot replace its values by free numbers while the equation is solved, and leaves them alone."""
+    (tmp_path / "m.gb").write_text(DIODE)
+    (tmp_path / "d.csv").write_text("t,u,v,q\n0,2,,\n0.5,,0.9,0.2\n1,,1.0,0.4\n1.5,,1.1,0.5\n")
+    model = gbspec.load(tmp_path / "m.gb")
+    run = model.train(tmp_path / "d.csv", tmp_path / "run", method="lm", epochs=1, threads=1, workers=1).run
+    assert np.isfinite(run.fit.members[0].loss)
+    low, high = (float(run.member().weights[f"network.i.input_{end}"][0]) for end in ("low", "high"))
+    assert 0 <= low < high <= 3

@@ -18,7 +18,7 @@ from torch import Tensor
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.data import sobol
-from gbspec.ir import NN, Model
+from gbspec.ir import NN, Model, unknowns_in_equations
 from gbspec.training.optimise import AdamMoments, one_cycle, prior_sd
 from gbspec.training.problem import Bijections, Parameters, Weights
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
@@ -137,6 +137,8 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
 
     Outputs that no comparable balance contains are estimated from all balances, with rough values of unmeasured states.
     """
+    if unknowns_in_equations(model):
+        return _as_declared(model, module, points, start)
     outputs = len(_free_outputs(model, module, points.some(np.arange(1)), start).neutral)
     enough = int(ELIMINATION_WORK / max(len(model.states) * outputs**2, 1)) + 1
     if len(points) > enough:
@@ -148,6 +150,14 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
         rough, _ = _eliminated(_Mismatch(model, module, points, start, rough=True), found.constants)
         found = replace(found, outputs=np.where(undetermined, rough.outputs, found.outputs))
     return found
+
+
+def _as_declared(model: Model, module: GeneratedModule, points: Points, start: Array) -> Eliminated:
+    """Neutral outputs and the constants' starts, with the arguments that a search for the algebraic variables asks for
+    on its way: it calls the networks as often as it needs to, so that their outputs cannot be free numbers."""
+    free = _free_outputs(model, module, _spread(model, points), start)
+    outputs = np.tile(np.array(free.neutral), (len(points), 1)).reshape(len(points), -1)
+    return Eliminated(start, outputs, tuple(free.arguments), tuple(free.arguments))
 
 
 def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
@@ -264,6 +274,7 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
         arguments = (
             np.concatenate([a for a, _ in applications]) if applications else np.zeros((0, len(network.arguments)))
         )
+        arguments = arguments[np.isfinite(arguments).all(axis=1)]
         outputs = np.concatenate([o for _, o in applications]) if applications else np.zeros((0, len(network.outputs)))
         ranges = [argument.range for argument in network.arguments]
         low, high, center, scale = (np.zeros(len(ranges)) for _ in range(4))
