@@ -30,8 +30,8 @@ _COMPARE: dict[str, Callable[[float, float], bool]] = {
 
 Functions = Mapping[str, ast.FunctionStatement]
 DEEPEST = 100
-MOST_CALLS = 100_000
-"""Functions that call each other deeper, or more often, are not evaluated: they may be recursive."""
+MOST_CALLS = 10_000
+"""Functions that call each other deeper, or with more different arguments, are not evaluated: they may be recursive."""
 
 NotFinite = Callable[[ast.Expression, float, bool], None]
 """A callback with the expression, its value, and whether it is a division by zero."""
@@ -82,13 +82,13 @@ class Evaluator:
         self._functions = functions
         self._not_finite = not_finite
         self._depth = 0
-        self._calls = 0
+        self._known: dict[tuple[str, tuple[float, ...]], float | None] = {}
 
     def __call__(self, node: ast.Expression, formals: Mapping[str, float | None] | None = None) -> float | None:
         """The value in float64, or None. `formals` shadow the constants (None: an argument of unknown value)."""
         shadow = formals or {}
         if self._depth == 0:
-            self._calls = 0
+            self._known.clear()
         return fold(node, lambda n, values: self._combine(n, values, shadow), _counted)
 
     def _combine(
@@ -146,18 +146,28 @@ class Evaluator:
         if declared is not None:
             if len(declared.parameters) != len(values):
                 return None
-            if self._depth == DEEPEST or self._calls == MOST_CALLS:
-                return None
-            formals = dict(zip((p.text for p in declared.parameters), values, strict=True))
-            saved, self._not_finite = self._not_finite, None  # errors inside are reported at the call
-            self._depth += 1
-            self._calls += 1
-            try:
-                return self(declared.value, formals)
-            finally:
-                self._depth -= 1
-                self._not_finite = saved
+            return self._value(declared, values)
         return apply(name, values) if name in _ONE or name in _SEVERAL else None
+
+    def _value(self, function: ast.FunctionStatement, values: list[float]) -> float | None:
+        """The value of a declared function, computed once for the same arguments: a chain of functions that each call
+        the one before twice would else take two to the power of its length."""
+        call = function.name.text, tuple(values)
+        if call in self._known:
+            return self._known[call]
+        if self._depth == DEEPEST or len(self._known) == MOST_CALLS:
+            return None
+        formals = dict(zip((p.text for p in function.parameters), values, strict=True))
+        saved, self._not_finite = self._not_finite, None  # errors inside are reported at the call
+        self._depth += 1
+        try:
+            value = self(function.value, formals)
+        finally:
+            self._depth -= 1
+            self._not_finite = saved
+        if len(self._known) < MOST_CALLS:
+            self._known[call] = value
+        return value
 
 
 def _counted(node: ast.Expression) -> tuple[ast.Expression, ...]:

@@ -9,11 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from gbspec.data.table import read
+from gbspec.data.table import Trajectories, read
 from gbspec.diagnostics import Findings
 from gbspec.ir.model import Channel, Condition, symbol
 from tests.data.hand_models import patient, reactor, tank
 from tests.data.reader import Reader
+from tests.effort import calls
 
 WIDE = """\
 trajectory,t,x1,x2,Da
@@ -230,17 +231,14 @@ def test_name_and_value_may_be_channels(reading: Reader) -> None:
     assert found.meta["layout"] == "wide"
 
 
-def test_a_million_rows_take_seconds(tmp_path: Path) -> None:
-    import time
-
+def test_a_million_rows_are_not_read_row_by_row(tmp_path: Path) -> None:
     n = 1_000_000
     index = np.arange(n)
     frame = pl.DataFrame({"trajectory": index // 1000, "t": (index % 1000) * 0.01, "V": index * 0.7, "F": index % 7})
     frame.write_csv(tmp_path / "big.csv")
-    before = time.process_time()
-    found = read(tmp_path / "big.csv", tank(), Findings())
-    assert len(found) == 1000 and found.measurements == n
-    assert time.process_time() - before < 20  # about 3 s of one core; a loop over rows takes minutes
+    found: list[Trajectories] = []
+    assert calls(lambda: found.append(read(tmp_path / "big.csv", tank(), Findings()))) < n
+    assert len(found[0]) == 1000 and found[0].measurements == n
 
 
 @pytest.mark.parametrize("above", ["", "# made by a reactor\n# on a Tuesday\n"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import comb
@@ -14,11 +12,11 @@ import sympy
 from gbspec.arrays import Array
 from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.generators import moved
-from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, OutOfTime, size
+from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, size
 from gbspec.passes.identifiability.points import bases_of
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.reach import Reach
-from gbspec.passes.identifiability.series import Algebra
+from gbspec.passes.identifiability.series import Algebra, Effort, OutOfEffortError
 
 SMALL = 1e-8
 """Singular values below this fraction of the largest count as zero."""
@@ -29,6 +27,8 @@ MOST_ORDERS = 15
 """The highest order where constants are far from what is observed."""
 PROBED = 1e-6
 """A made-up term of which a smaller fraction is left counts as compensated."""
+DECOMPOSITION = 0.5
+"""What the decompositions of a system cost, in multiplications, by its rows, columns and the smaller of both."""
 LINES = 160
 SEED = 20
 
@@ -53,14 +53,14 @@ class Directions:
     """Whether the expansions are long enough: else they say nothing of any constant."""
 
 
-def find(question: Question, deadline: float) -> Directions | None:
+def find(question: Question, effort: Effort) -> Directions | None:
     """The directions at increasing order, until their number is constant; None (undecided) if the budget ends first.
 
     Equal ranks in a row end the search, of orders above that at which the last constant can show, and at which the
     expansions tell something: at low orders free initial values of unmeasured states compensate everything. Two are
     enough where made-up terms show that, three with unmeasured states where an unknown function of everything is in
-    each rate: each unmeasured state may need one more derivative before it affects an output. Where orders or time end
-    first, directions that exact symmetries explain are decided all the same: no further order excludes them.
+    each rate: each unmeasured state may need one more derivative before it affects an output. Where orders or
+    effort end first, directions that exact symmetries explain are decided all the same: no further order excludes them.
     """
     reach = Reach(question).orders()
     first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
@@ -70,8 +70,8 @@ def find(question: Question, deadline: float) -> Directions | None:
     branches = Branches(question)
     order, silent = 0, 0
     while (order := order + 1) <= last + silent:
-        late = size(question, order) > MOST_COLUMNS or time.process_time() > deadline
-        found = None if late else at_order(question, order, deadline, branches)
+        large = size(question, order) > MOST_COLUMNS
+        found = None if large else at_order(question, order, effort, branches)
         if found is None:
             break
         if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
@@ -101,12 +101,12 @@ def _explained(question: Question, found: Directions) -> bool:
 
 
 def at_order(
-    question: Question, order: int, deadline: float = math.inf, branches: Branches | None = None
+    question: Question, order: int, effort: Effort | None = None, branches: Branches | None = None
 ) -> Directions | None:
-    """The directions that remain at one order; None if an expression has no value or time runs out."""
+    """The directions that remain at one order; None if an expression has no value or the effort is spent."""
     moving = question.hidden or question.own or question.alone
     still = not moving and all(start is None for start in question.starts)
-    algebra = Algebra(order, 0 if still else order)
+    algebra = Algebra(order, 0 if still else order, effort or Effort())
     rng = np.random.default_rng(SEED + order)
     bases: list[Base] = []
     systems: list[LinearSystem] = []
@@ -116,10 +116,10 @@ def at_order(
         scales = np.array([abs(base.constants[k.symbol]) or 1.0 for k in question.sought])
         try:
             with np.errstate(all="ignore"):
-                system = Jet(base, algebra, lines, rng, deadline).system()
-        except OutOfTime:
-            return None
-        if time.process_time() > deadline:
+                system = Jet(base, algebra, lines, rng).system()
+            rows, columns = system.matrix.shape
+            algebra.effort.spend(DECOMPOSITION * rows * columns * min(rows, columns))
+        except OutOfEffortError:
             return None
         if np.all(np.isfinite(system.matrix)):
             bases.append(base)

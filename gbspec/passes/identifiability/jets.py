@@ -11,7 +11,6 @@ zero. The true directions are always among those found; with increasing order th
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
@@ -24,6 +23,9 @@ from gbspec.arrays import Array, Mask
 from gbspec.ir import Expr, derivative
 from gbspec.passes.identifiability.question import Application, Question
 from gbspec.passes.identifiability.series import Algebra, Evaluation
+
+CHANGE = 20_000
+"""What the derivatives of an expression cost, in multiplications."""
 
 
 def monomials(variables: int, order: int) -> list[tuple[int, ...]]:
@@ -100,10 +102,6 @@ class Columns:
         return self.count - number
 
 
-class OutOfTime(Exception):  # noqa: N818 - not an error: the budget is spent
-    """The time budget is spent."""
-
-
 class Jet:
     """The expansion of a question at one base point."""
 
@@ -113,11 +111,9 @@ class Jet:
         algebra: Algebra,
         lines: int,
         rng: np.random.Generator,
-        deadline: float = math.inf,
     ) -> None:
         question = base.question
         self._question, self._algebra, self._lines = question, algebra, lines
-        self._deadline = deadline
         model = question.model
         self._states = [s.symbol for s in model.states]
         self._base = base
@@ -145,7 +141,7 @@ class Jet:
     # -------------------------------------------------------------------------------------------------------- values
 
     def system(self) -> LinearSystem:
-        """All residuals at this base point. Raises `OutOfTime` when the deadline (of processor time) has passed."""
+        """All residuals at this base point. Raises `OutOfEffortError` when the algebra's effort is spent."""
         starts = self._after_doses(self._start_values())
         values = dict(starts)
         for _ in range(self._algebra.time_order + 1):
@@ -404,9 +400,8 @@ class Jet:
 
     def _change(self, e: Expr, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]) -> Array:
         """The change of an expression: of its constants, unmeasured states and networks; shape [columns, lines, L]."""
-        if time.process_time() > self._deadline:
-            raise OutOfTime
         question, algebra = self._question, self._algebra
+        algebra.effort.spend(CHANGE)
         total = self._zero()
         present = e.free_symbols
         for column, learnable in enumerate(question.sought):

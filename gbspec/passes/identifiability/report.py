@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,6 +15,7 @@ from gbspec.passes.identifiability.directions import MOST_COLUMNS, ORDERS, Direc
 from gbspec.passes.identifiability.generators import echelon
 from gbspec.passes.identifiability.jets import size
 from gbspec.passes.identifiability.question import Question, pose
+from gbspec.passes.identifiability.series import Effort
 from gbspec.passes.identifiability.symmetry import Symmetry, keeps_zeros, symmetries, transformations
 from gbspec.passes.terms import larger_than
 
@@ -24,8 +24,8 @@ MOST_NODES = 50_000
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
 """Earlier warnings on a constant that explain why it cannot be learned: never used, used only in comparisons."""
 
-BUDGET = 2.0
-"""Seconds of processor time after which the answer is `undecided`."""
+BUDGET = 1.2e8
+"""Multiplications after which the answer is `undecided`: about two seconds."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +73,19 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
         return Identifiability(False)
     if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
         return Identifiability(False)
-    deadline = time.process_time() + budget
+    effort = Effort(budget)
     try:
-        everything = find(pose(model, all_states=True), deadline)
+        everything = find(pose(model, all_states=True), effort)
         # What random disturbances of hidden states show is not examined: only what the drift alone cannot tell apart.
         question = pose(model, all_states=bool(model.diffusions))
-        declared = find(question, deadline) if not model.diffusions else everything
+        declared = find(question, effort) if not model.diffusions else everything
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
         return Identifiability(False)
     if declared is None:
         return Identifiability(False)
     disturbing = {s.name for diffusion in model.diffusions for s in diffusion.value.free_symbols}
     sets = [each for each in _sets(question, declared, everything) if not disturbing & set(each.names)]
-    sets += _free_states(question, deadline)
+    sets += _free_states(question, effort)
     reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
@@ -111,7 +111,7 @@ def by_one_trajectory(model: Model, budget: float = BUDGET) -> tuple[Inseparable
     if len(of_time) < len(question.applications):
         return ()
     try:
-        found = find(question, time.process_time() + budget)
+        found = find(question, Effort(budget))
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
         return ()
     if found is None:
@@ -138,7 +138,7 @@ def _sets(question: Question, declared: Directions, everything: Directions | Non
     return sets
 
 
-def _free_states(question: Question, deadline: float) -> list[Inseparable]:
+def _free_states(question: Question, effort: Effort) -> list[Inseparable]:
     """The unmeasured states that can be scaled or shifted together with unknowns alone, as at three orders in a row."""
     if not question.model.unknowns or all(question.starts[i] is not None for i in question.hidden):
         return []
@@ -146,7 +146,7 @@ def _free_states(question: Question, deadline: float) -> list[Inseparable]:
     for order in ORDERS[1:]:
         if size(question, order) > MOST_COLUMNS:
             return []
-        directions = at_order(question, order, deadline)
+        directions = at_order(question, order, effort)
         if directions is None:
             return []
         groups: dict[tuple[str, ...], list[Symmetry]] = {}

@@ -17,13 +17,35 @@ import sympy
 from gbspec.arrays import Array, Mask
 from gbspec.ir import Expr, Lookup
 
+STEP = 4_000
+"""What one product of a coefficient with a series costs beside its multiplications, in multiplications."""
+
+
+class OutOfEffortError(Exception):
+    """The budget is spent."""
+
+
+@dataclass
+class Effort:
+    """A budget counted in multiplications, not in seconds, so that an answer does not depend on the machine; about
+    60 million are done in a second."""
+
+    left: float = math.inf
+
+    def spend(self, multiplications: float) -> None:
+        """Raises `OutOfEffortError` when nothing is left."""
+        self.left -= multiplications
+        if self.left < 0:
+            raise OutOfEffortError
+
 
 @dataclass(frozen=True)
 class Algebra:
-    """Arithmetic of series up to a total order and an order in time."""
+    """Arithmetic of series up to a total order and an order in time; products spend `effort`."""
 
     order: int
     time_order: int
+    effort: Effort = field(default_factory=Effort, compare=False)
 
     @cached_property
     def monomials(self) -> tuple[tuple[int, int], ...]:
@@ -63,6 +85,7 @@ class Algebra:
         result = np.zeros(np.broadcast_shapes(a.shape, b.shape))
         for k, (source, target) in enumerate(self._products):
             if np.any(a[..., k]):
+                self.effort.spend(STEP + result[..., 0].size * len(source))
                 result[..., target] += a[..., k : k + 1] * b[..., source]
         return result
 
