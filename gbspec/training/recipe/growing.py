@@ -11,7 +11,7 @@ from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, scalar
 from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.recipe.context import Context
-from gbspec.training.recipe.segments import Segments, horizons
+from gbspec.training.recipe.segments import GROWTH, Segments, horizons
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts import refit_starts
 
@@ -47,9 +47,11 @@ class GrowingHorizons:
 
     name = StageName.HORIZONS.value
 
-    def __init__(self, context: Context, whole: Parameters, starts: Sequence[Array], effort: Effort) -> None:
+    def __init__(
+        self, context: Context, whole: Parameters, starts: Sequence[Array], effort: Effort, growth: float = GROWTH
+    ) -> None:
         self.context, self.whole, self.starts = context, whole, list(starts)
-        self.horizons = horizons(context)
+        self.horizons = horizons(context, growth)
         self.most = ITERATIONS[effort]
         self.limiting = self.most // 2
         self.total = self.most * len(self.horizons) * len(self.starts)
@@ -73,7 +75,7 @@ class GrowingHorizons:
             return Outcome({**new, **_inner(again), "done": np.array(float(self.limiting))}, outcome.loss, False)
         if not (outcome.done or done >= self.most):
             return Outcome(new, outcome.loss, False)
-        return self._after_horizon(self._compared(new), horizon, outcome)
+        return self._after_horizon(self._compared(new, horizon, outcome.loss), horizon, outcome)
 
     def run(self, theta: Array) -> Array:
         """The vector at the end of all steps. Raises ComputationError if one of them is impossible."""
@@ -85,8 +87,9 @@ class GrowingHorizons:
                 break
         return state["theta"]
 
-    def _compared(self, state: State) -> State:
-        """The state with the better one of the present vector and the best one so far."""
+    def _compared(self, state: State, horizon: int, loss: float) -> State:
+        """The state with the better one of the best vector so far and the present one, which has this loss of segments
+        of this horizon."""
         short, whole = self.losses(state["theta"])
         score = short * whole if np.isfinite([short, whole]).all() else np.inf
         if not score < scalar(state, "score"):
@@ -99,8 +102,12 @@ class GrowingHorizons:
         following = self._next(horizon, self._segments(horizon), outcome.state["theta"])
         if following is not None:
             return Outcome({**state, **following}, outcome.loss, False)
+        return self._after_attempt(state, outcome)
+
+    def _after_attempt(self, state: State, outcome: Outcome, enough: bool = False) -> Outcome:
+        """Goes on to the next attempt, or ends."""
         loss, attempt = scalar(state, "loss"), int(scalar(state, "attempt")) + 1
-        if loss < max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) or attempt >= len(self.starts):
+        if enough or loss < max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) or attempt >= len(self.starts):
             return Outcome({"theta": state["best"]}, loss, True, "" if np.isfinite(loss) else BLOWN_UP)
         return Outcome({**state, **self._attempt(attempt)}, loss, False)
 

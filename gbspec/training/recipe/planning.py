@@ -20,6 +20,7 @@ from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
+from gbspec.training.recipe.known import SegmentsOfKnown
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
@@ -126,42 +127,47 @@ class _Planner:
         def believed(reached: Reached) -> bool:
             """Whether initial values are single measurements of noisy data."""
             measured = not np.array_equal(self.released.start_free, parameters.start_free)
+            if segments.adopted(reached):
+                return not segments.alone(reached)
             return (
                 measured
                 and blend == 0.0
                 and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
             )
 
-        def known(reached: Reached) -> LastFit:
+        segments = SegmentsOfKnown(context, self.released, self._whole_astray, self.effort)
+
+        def known(reached: Reached) -> LastFit | None:
+            if segments.alone(reached):
+                return None
             layout = self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
             return LastFit(layout, blend, blend, lambda theta: plain, True)
 
         released = self._at(0.0, 1.0, self.released)
         return [
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
-            self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
+            *([segments.planned()] if blend == 0.0 else []),
+            self._newton(StageName.LEAST_SQUARES, self._at(blend), plain, segments.discarded),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
             cut_steps(context, known, self.effort),
             *(
                 finer_step(context, number, known, self.effort)
                 for number in range(1, HALVINGS[self.options.effort] + 1)
             ),
-            *(self._weights(plain, blend == 0.0) for _ in range(REWEIGHTINGS)),
+            *(
+                self._weights(plain, lambda reached: blend == 0.0 and not segments.alone(reached))
+                for _ in range(REWEIGHTINGS)
+            ),
         ]
 
-    def _weights(self, options: LevenbergOptions | Callable[[Array], LevenbergOptions], whole: bool = True) -> Planned:
-        """Continues `whole` solutions with channels weighed by their noise."""
-
-        def noisy(reached: Reached) -> bool:
-            """Whether whole solutions were fitted to data that are not exact (known forms look at the residuals)."""
-            fitted = StageName.AUTOREGRESSIVE in reached.marks and self._noisy(reached)
-            return whole and (fitted or not self.parameters.n_weights)
+    def _weights(self, options: LevenbergOptions | Callable[[Array], LevenbergOptions], fitted: Decision) -> Planned:
+        """Continues whole solutions that were `fitted` with channels weighed by their noise."""
 
         def settings(reached: Reached) -> LevenbergOptions:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
             return replace(chosen, damping=STEADY)
 
-        return reweighed(self.context, self._most(StageName.WEIGHTS), self._layout, settings, noisy)
+        return reweighed(self.context, self._most(StageName.WEIGHTS), self._layout, settings, fitted)
 
     def _last_of_networks(self, reached: Reached) -> LastFit | None:
         """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
@@ -205,7 +211,7 @@ class _Planner:
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
-            *(self._weights(self._regular) for _ in range(REWEIGHTINGS)),
+            *(self._weights(self._regular, self._noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
             whole_of_exact_data(self.context, self._layout, self.effort, self._to_rounding, self._exact),
             *self._continued(),
@@ -281,6 +287,10 @@ class _Planner:
         table, seen = noise_table(engine, reached.theta), engine.problem.seen
         return any(typical(table[seen[:, i], i]) > NOISE for i in range(table.shape[1]))
 
+    def _noisy_whole(self, reached: Reached) -> bool:
+        """Whether whole solutions were fitted to data that are not exact."""
+        return StageName.AUTOREGRESSIVE in reached.marks and self._noisy(reached)
+
     def _whole_error(self, reached: Reached) -> float:
         """The root mean square residual of whole solutions, of the channel in which it is largest."""
         engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
@@ -298,6 +308,10 @@ class _Planner:
             return True
         error = self._whole_error(reached)
         return error > LOST or (error > ASTRAY and (self.values >= FEW or not self._noisy(reached)))
+
+    def _whole_astray(self, reached: Reached) -> bool:
+        """Whether whole solutions are far from the data."""
+        return self._whole_error(reached) > ASTRAY
 
     def _unfollowed(self, reached: Reached) -> bool:
         """Whether whole solutions have to be fitted: they do not follow the data, or the data are noisy."""

@@ -32,16 +32,16 @@ GROWTH = 2.5
 """Ratio of successive horizons."""
 
 
-def horizons(context: Context) -> tuple[int, ...]:
+def horizons(context: Context, growth: float = GROWTH) -> tuple[int, ...]:
     """Numbers of intervals in the segments of successive fits, the longest trajectory's last; empty if it is too short
     to be cut."""
     most = max((len(item.times) - 1 for item in context.trajectories.items), default=0)
     found: list[int] = []
     now = float(SHORTEST)
-    while now * GROWTH**0.5 < most:
+    while now * growth**0.5 < most:
         if _changes(context, round(now)) >= NOTICEABLE or found:
             found.append(round(now))
-        now *= GROWTH
+        now *= growth
     return (*found, most) if found else ()
 
 

@@ -5,6 +5,7 @@ from .initial_states import refit_starts as refit_starts
 from .own_constants import refit_own as refit_own
 from .search import PATIENCE as PATIENCE
 from .search import Search as Search
+from .search import followed as followed
 from .sizes import sized_starts as sized_starts
 from .sizes import unsized as unsized
 from .slopes import Points as Points
