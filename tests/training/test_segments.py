@@ -189,7 +189,7 @@ def test_further_attempts_limit_large_residuals_before_least_squares(monkeypatch
         return Outcome(state, 1.0, len(seen) % 2 == 0)
 
     monkeypatch.setattr(LevenbergMarquardt, "step", step)
-    monkeypatch.setattr(growing, "horizons", lambda context: (20,))
+    monkeypatch.setattr(growing, "horizons", lambda context, growth: (20,))
     monkeypatch.setattr(GrowingHorizons, "losses", lambda self, theta: (0.1, 0.5))
     GrowingHorizons(context, whole, [theta, theta], "normal").run(theta)
     assert seen == [False, False, True, True, False, False], "least squares follow"
