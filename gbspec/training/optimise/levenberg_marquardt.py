@@ -103,11 +103,13 @@ class LevenbergMarquardt:
             "ridge": np.array(ridge),
             "small": np.array(small),
         }
-        loss = mean_loss(fit.measured(after))
+        measured = fit.measured(after)
+        return Outcome(new, mean_loss(measured), small >= 2 or self.close(trial, measured))
+
+    def close(self, theta: Array, residuals: Array) -> bool:
+        """Whether the mean loss of these residuals of a vector is so small that the stage ends."""
         enough = self.options.enough
-        return Outcome(
-            new, loss, small >= 2 or loss < (enough(trial, fit.measured(after)) if callable(enough) else enough)
-        )
+        return mean_loss(residuals) < (enough(theta, residuals) if callable(enough) else enough)
 
     def certainty(self, state: State) -> Certainty:
         """Standard deviations from the curvature at a converged state; unknown if the equations are numerically

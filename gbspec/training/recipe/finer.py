@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Engine, predicted, residual_table
+from gbspec.training.engines import Engine, predicted, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, moved
 from gbspec.training.problem import Parameters, mean_loss, measured_only
 from gbspec.training.recipe.context import Context
@@ -124,7 +124,11 @@ class FinerStep(LevenbergMarquardt):
         return super().begin(theta)
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """One iteration, with the step in its remark."""
+        """One iteration, with the step in its remark; none is needed where residuals are small at this step too."""
+        if iteration == 0 and self.name == StageName.FINER:
+            residuals = residual_vector(self.engine_at(0), state["theta"])
+            if self.close(state["theta"], residuals):
+                return Outcome(state, mean_loss(residuals), True, remark=self.remark)
         outcome = super().step(state, iteration)
         return Outcome(outcome.state, outcome.loss, outcome.done, outcome.note, self.remark)
 

@@ -26,7 +26,7 @@ from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_fo
 from gbspec.training.recipe.weighing import REWEIGHTINGS, noise_table, reweighed
 from gbspec.training.recipe.whole import ENOUGH, ROUNDING, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts import PATIENCE, Search
+from gbspec.training.starts import PATIENCE, Search, refit_starts
 
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
@@ -281,22 +281,28 @@ class _Planner:
         table, seen = noise_table(engine, reached.theta), engine.problem.seen
         return any(typical(table[seen[:, i], i]) > NOISE for i in range(table.shape[1]))
 
-    def _whole_error(self, reached: Reached) -> float:
-        """The root mean square residual of whole solutions, of the channel in which it is largest."""
+    def _whole_error(self, reached: Reached, *, refitted: bool = False) -> float:
+        """The root mean square residual of whole solutions, of the channel in which it is largest; `refitted`: from
+        initial states that are fitted to the first rows of whole solutions."""
         engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
-        table, seen = noise_table(engine, reached.theta), engine.problem.seen
+        theta = refit_starts(engine, reached.theta, self.context.seed) if refitted else reached.theta
+        table, seen = noise_table(engine, theta), engine.problem.seen
         losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
         return float(np.sqrt(2 * max(losses, default=0.0))) if np.isfinite(losses).all() else float("inf")
 
     def _astray(self, reached: Reached) -> bool:
         """Whether whole solutions are so far from the data that segments are needed to find them.
 
-        Not with few noisy values: segments are fitted without a ridge, and would follow the noise. Yet they are all
-        that is left where intervals could not be fitted, or where whole solutions are worse than the mean.
+        Not where other initial states bring them back: noisy first values, and a few starts that teacher forcing left
+        far off, say nothing against the dynamics. Not with few noisy values either: segments are fitted without a
+        ridge, and would follow the noise. Yet they are all that is left where intervals could not be fitted, or where
+        whole solutions are worse than the mean.
         """
         if StageName.TEACHER not in reached.marks:
             return True
         error = self._whole_error(reached)
+        if error > ASTRAY:
+            error = min(error, self._whole_error(reached, refitted=True))
         return error > LOST or (error > ASTRAY and (self.values >= FEW or not self._noisy(reached)))
 
     def _unfollowed(self, reached: Reached) -> bool:
