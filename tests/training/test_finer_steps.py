@@ -15,7 +15,8 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State
 from gbspec.training.recipe import finer, step_fraction
 from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.finer import FinerStep, step_shows
+from gbspec.training.recipe.finer import FinerStep, continuing, step_shows
+from gbspec.training.recipe.planned import Reached
 from gbspec.training.runs.summary import only_at_its_step
 from gbspec.training.stages import StageName
 from tests.training.conftest import Recorder, model_of
@@ -176,6 +177,14 @@ def test_a_fit_with_small_residuals_at_the_finer_step_too_rests(
     assert outcome.done
     assert outcome.remark == "largest step 1"
     assert np.array_equal(outcome.state["theta"], theta)
+
+
+def test_a_stage_that_continues_a_fit_begins_with_the_ridge_where_its_evidence_stood() -> None:
+    """From the first small ridge a fit of noisy data would follow the noise again, and need many iterations to rest."""
+    options, reached = LevenbergOptions(ridge=1e-6, evidence=True), Reached(np.zeros(1), ridge=2e-3)
+    assert continuing(options, reached).ridge == 2e-3
+    assert continuing(options, replace(reached, ridge=0.0)).ridge == 1e-6
+    assert continuing(replace(options, evidence=False), reached).ridge == 1e-6
 
 
 BLOWS_UP = """

@@ -46,6 +46,12 @@ class LastFit:
     constants: bool
 
 
+def continuing(options: LevenbergOptions, reached: Reached) -> LevenbergOptions:
+    """The options of a stage that continues a fit: with little damping, and the ridge where its evidence stood."""
+    ridge = reached.ridge if options.evidence and reached.ridge > 0 else options.ridge
+    return replace(options, damping=STEADY, ridge=ridge)
+
+
 INEXACT, LIMITED = "inexact", "limited"
 """Reasons for a finer step: its error shows, or solutions are near its limit of stability."""
 LEAST_ADAPTIVE = 1e-8
@@ -142,7 +148,7 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
         found, fraction = last(reached), step_fraction(reached.begun) / 2
         assert found is not None, "the stage has begun"
         layout, blend = found.layout, found.blend
-        chosen = replace(found.options(reached.theta), damping=STEADY)
+        chosen = continuing(found.options(reached.theta), reached)
         newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
         rtol = context.tolerance(fraction)
         size = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"

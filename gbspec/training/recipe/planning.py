@@ -17,14 +17,14 @@ from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage
-from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, finer_step
+from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.recipe.weighing import REWEIGHTINGS, noise_table, reweighed
-from gbspec.training.recipe.whole import ENOUGH, ROUNDING, whole_of_exact_data
+from gbspec.training.recipe.whole import ENOUGH, ROUNDING, unmeasured, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search, refit_starts
 
@@ -45,6 +45,9 @@ WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
 """Largest numbers of iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
 """The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
+SPREAD = 0.05
+"""A fit under the evidence's ridge rests where iterations move predictions by less than this many of their standard
+deviations; what moves them less only shrinks weights that the data leave open."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
@@ -159,7 +162,7 @@ class _Planner:
 
         def settings(reached: Reached) -> LevenbergOptions:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
-            return replace(chosen, damping=STEADY)
+            return continuing(chosen, reached)
 
         return reweighed(self.context, self._most(StageName.WEIGHTS), self._layout, settings, noisy)
 
@@ -223,7 +226,7 @@ class _Planner:
         def make(reached: Reached) -> Stage:
             found = self._last_of_networks(reached)
             assert found is not None, "the stage is possible"
-            chosen = replace(found.options(reached.theta), damping=STEADY, enough=ENOUGH["high"])
+            chosen = replace(continuing(found.options(reached.theta), reached), enough=ENOUGH["high"])
             engine = self._at(found.blend, step_fraction(reached.begun), found.layout)
             return Further(LevenbergMarquardt(StageName.FURTHER, total, engine, chosen))
 
@@ -361,7 +364,8 @@ class _Planner:
         noise = max(self._noise(theta), 0.01)
         noise = noise if np.isfinite(noise) else 1.0
         if self.options.ridge is None:
-            return LevenbergOptions(ridge=FIRST_RIDGE * noise**2, evidence=True, tolerance=1e-4)
+            spread = 0.0 if unmeasured(self.context.model) else SPREAD
+            return LevenbergOptions(ridge=FIRST_RIDGE * noise**2, evidence=True, tolerance=1e-4, spread=spread)
         if self.options.ridge == 0:
             return LevenbergOptions(tolerance=1e-4)
         initial = np.concatenate([v.ravel() for k, v in self.context.module.weights.items() if k.endswith("weight")])
