@@ -45,7 +45,7 @@ WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
 """Largest numbers of iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
 """The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
-SPREAD = 0.05
+SPREAD = 0.07
 """A fit under the evidence's ridge rests where iterations move predictions by less than this many of their standard
 deviations; what moves them less only shrinks weights that the data leave open."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
@@ -296,15 +296,15 @@ class _Planner:
     def _astray(self, reached: Reached) -> bool:
         """Whether whole solutions are so far from the data that segments are needed to find them.
 
-        Not where other initial states bring them back: noisy first values, and a few starts that teacher forcing left
-        far off, say nothing against the dynamics. Not with few noisy values either: segments are fitted without a
-        ridge, and would follow the noise. Yet they are all that is left where intervals could not be fitted, or where
-        whole solutions are worse than the mean.
+        Not where all states are measured and other initial states bring them back: noisy first values, and a few starts
+        that teacher forcing left far off, say nothing against the dynamics. Not with few noisy values either: segments
+        are fitted without a ridge, and would follow the noise. Yet they are all that is left where intervals could not
+        be fitted, or where whole solutions are worse than the mean.
         """
         if StageName.TEACHER not in reached.marks:
             return True
         error = self._whole_error(reached)
-        if error > ASTRAY:
+        if error > ASTRAY and not unmeasured(self.context.model):
             error = min(error, self._whole_error(reached, refitted=True))
         return error > LOST or (error > ASTRAY and (self.values >= FEW or not self._noisy(reached)))
 
