@@ -12,11 +12,13 @@ from gbspec.backends.module import load_module
 from gbspec.data import Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
 from gbspec.training import TrainOptions, train
-from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State
 from gbspec.training.recipe import finer, step_fraction
 from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.finer import FinerStep, step_shows
+from gbspec.training.recipe.finer import FinerStep, continuing, step_shows
+from gbspec.training.recipe.planned import Reached
 from gbspec.training.runs.summary import only_at_its_step
+from gbspec.training.stages import StageName
 from tests.training.conftest import Recorder, model_of
 
 ABSORPTION = """
@@ -153,6 +155,36 @@ def test_a_finer_step_that_cannot_be_solved_begins_elsewhere(
             stage.begin(np.zeros(2))
     else:
         assert np.array_equal(stage.begin(np.zeros(2))["theta"], np.full(2, begun))
+
+
+@pytest.mark.parametrize(("enough", "steps"), [(0.0, 1), (1.0, 0)])
+def test_a_fit_with_small_residuals_at_the_finer_step_too_rests(
+    enough: float, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No Jacobian is taken then; at fine steps it is most of the time of a fit of exact data."""
+    context = build_context(model_of(ABSORPTION), load_module(model_of(ABSORPTION)), SPARSE, TrainOptions(), 0)
+    engine, taken = context.engine(context.parameters({}), 0.0, 0.5), []
+    of = LevenbergMarquardt(StageName.FINER, 1, lambda iteration: engine, LevenbergOptions(enough=enough))
+
+    def step(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
+        taken.append(iteration)
+        return Outcome(state, 0.0, True)
+
+    monkeypatch.setattr(LevenbergMarquardt, "step", step)
+    theta = np.zeros(engine.parameters.size)
+    outcome = FinerStep(of, "largest step 1").step(of.begin(theta), 0)
+    assert len(taken) == steps
+    assert outcome.done
+    assert outcome.remark == "largest step 1"
+    assert np.array_equal(outcome.state["theta"], theta)
+
+
+def test_a_stage_that_continues_a_fit_begins_with_the_ridge_where_its_evidence_stood() -> None:
+    """From the first small ridge a fit of noisy data would follow the noise again, and need many iterations to rest."""
+    options, reached = LevenbergOptions(ridge=1e-6, evidence=True), Reached(np.zeros(1), ridge=2e-3)
+    assert continuing(options, reached).ridge == 2e-3
+    assert continuing(options, replace(reached, ridge=0.0)).ridge == 1e-6
+    assert continuing(replace(options, evidence=False), reached).ridge == 1e-6
 
 
 BLOWS_UP = """

@@ -110,3 +110,26 @@ def test_the_whole_step_ends_where_its_own_error_begins(stage: tuple[LevenbergMa
     outcome = LevenbergMarquardt("t", 1, one.engine_at, options)
     done = outcome.step(outcome.begin(theta), 0)
     assert done.done and np.array_equal(asked[-1], done.state["theta"])
+
+
+def with_evidence(spread: float) -> tuple[LevenbergMarquardt, Array]:
+    """Whole solutions of noisy data under the ridge of the evidence, with weights where the noise has put them."""
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(4, 2.0, 1, 0.05), 0.2)
+    options = LevenbergOptions(ridge=1e-3, evidence=True, tolerance=1e-12, spread=spread)
+    return LevenbergMarquardt("any", 6, lambda _: TorchEngine(problem, parameters), options), theta
+
+
+@pytest.mark.parametrize(("spread", "ends"), [(0.0, False), (1e6, True)])
+def test_a_fit_whose_predictions_no_longer_move_rests(spread: float, ends: bool) -> None:
+    """Its objective still falls then, while the prior shrinks weights that the data leave open."""
+    stage, theta = with_evidence(spread)
+    first = stage.step(stage.begin(theta), 0)
+    assert not first.done
+    assert stage.step(first.state, 1).done is ends
+
+
+def test_the_ridge_of_the_evidence_depends_on_the_vector_alone() -> None:
+    """With other random vectors in each iteration it would never settle, nor would the fit rest."""
+    stage, theta = with_evidence(0.0)
+    state = stage.begin(theta)
+    assert stage.step(state, 0).state["ridge"] == stage.step(state, 5).state["ridge"] != state["ridge"]

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 import torch
 
+from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines import residual_vector
+from gbspec.training.engines import predicted, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State
 from gbspec.training.options import Backend
 from gbspec.training.recipe import growing, whole
@@ -306,3 +307,45 @@ def test_segments_are_tried_where_no_interval_can_be_fitted(
     (member,) = run.fit.members
     assert StageName.HORIZONS in [stage.name for stage in member.stages]
     assert [w for w in run.fit.warnings if "failed: the solution blew up; segments" in w]
+
+
+RELAXATION = """
+model relaxation
+time t from 0
+state x in [-5, 5]
+learn k = 0.3 in [0.01, 10]
+unknown f(x in [-5, 5]) by mlp(4)
+x' = 0.1*f - k*x
+observe x
+"""
+
+
+def test_segments_are_not_tried_where_other_initial_states_bring_solutions_back() -> None:
+    """A start that teacher forcing left far off says nothing against the dynamics; a wrong constant does."""
+    model, times = model_of(RELAXATION), np.linspace(0.5, 10, 20)
+
+    def of(values: Array) -> Trajectories:
+        tables = [column[:, None] for column in values.T]
+        parts = [(np.ones_like(table), np.full_like(table, np.nan)) for table in tables]
+        items = zip(tables, parts, strict=True)
+        return Trajectories(tuple(Trajectory("1", 0.0, times, v, n, s, np.zeros(0)) for v, (n, s) in items), ("x",))
+
+    guess = np.exp(-0.3 * times)[:, None] * np.array([1.0, -2.0, 3.0])
+    for _ in range(2):  # values of the first guess, then those of the model itself
+        context = context_of(model, of(guess))
+        fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+        whole, kept = context.parameters(fixed, released=True), context.parameters(fixed)
+        starts = np.array([[1.0], [-2.0], [3.0]])
+        theta = whole.with_starts(whole.vector(context.module.weights), starts)
+        guess = predicted(context.engine(whole, 0.0), theta).mean.reshape(3, 20).T
+    (planned,) = [one for one in plan(context, kept) if one.name is StageName.HORIZONS]
+
+    def tried(at: Array) -> bool:
+        return planned.due(Reached(at, {StageName.TEACHER: at}))
+
+    far = np.array([[0.0], [0.0], [-4.0]])
+    assert not tried(theta)
+    assert not tried(whole.with_starts(theta, starts + far))
+    faster = theta.copy()
+    faster[whole.n_weights] += 3
+    assert tried(faster)

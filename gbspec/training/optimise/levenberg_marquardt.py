@@ -40,7 +40,8 @@ class LevenbergOptions:
     `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
     stage ends; `enough`: mean loss below which it ends at once, or a function of a vector and its residuals that
     returns this loss; `damping`: the initial one; `ridge`: precision of the weights' prior in units of squared
-    residuals; `evidence`: re-estimate the ridge from the data after each iteration.
+    residuals; `evidence`: re-estimate the ridge from the data after each iteration; `spread`: with `evidence`, also a
+    move of the predictions below this many of their standard deviations (root mean square, twice in a row) ends it.
     """
 
     robust: bool = True
@@ -49,6 +50,7 @@ class LevenbergOptions:
     damping: float = 1.0
     ridge: float = 0.0
     evidence: bool = False
+    spread: float = 0.0
 
 
 class LevenbergMarquardt:
@@ -92,22 +94,29 @@ class LevenbergMarquardt:
             kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
             return Outcome(kept, mean_loss(fit.measured(fit.start)), True)
         before, after, trial = fit.start.value, found.after, theta + found.move
+        rests = (before - after.value) < self.options.tolerance * max(before, 1e-300)
         if self.options.evidence:
-            ridge = evidence(engine.problem, fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
+            measured = fit.measured(fit.start)
+            # The same random vectors in each iteration, without which the ridge would never settle.
+            ridge, used = most_evident(engine.problem, fit.equations, measured, fit.delta, trial, ridge, 0)
+            uncertain = used * noise_variance(engine.problem, measured, fit.delta, used)
+            rests = rests or fit.moved(after) < self.options.spread**2 * uncertain
         # The better the linear model predicted the decrease, the less damping is needed (Nielsen 1999).
         damping = found.damping * float(np.clip(1 - (2 * found.gain - 1) ** 3, 0.2, 2.0))
-        small = small + 1 if (before - after.value) < self.options.tolerance * max(before, 1e-300) else 0.0
+        small = small + 1 if rests else 0.0
         new: State = {
             "theta": trial,
             "damping": np.array(max(damping, LEAST)),
             "ridge": np.array(ridge),
             "small": np.array(small),
         }
-        loss = mean_loss(fit.measured(after))
+        measured = fit.measured(after)
+        return Outcome(new, mean_loss(measured), small >= 2 or self.close(trial, measured))
+
+    def close(self, theta: Array, residuals: Array) -> bool:
+        """Whether the mean loss of these residuals of a vector is so small that the stage ends."""
         enough = self.options.enough
-        return Outcome(
-            new, loss, small >= 2 or loss < (enough(trial, fit.measured(after)) if callable(enough) else enough)
-        )
+        return mean_loss(residuals) < (enough(theta, residuals) if callable(enough) else enough)
 
     def certainty(self, state: State) -> Certainty:
         """Standard deviations from the curvature at a converged state; unknown if the equations are numerically
@@ -240,6 +249,11 @@ class _Fit:
             return solve()
         except np.linalg.LinAlgError:
             return np.full(self.parameters.size, np.nan)
+
+    def moved(self, solved: _Solved) -> float:
+        """The sum of squares by which predictions of measured values differ from those of the start, weighed alike."""
+        change = self.equations.root[: self.count] * (self.measured(solved) - self.measured(self.start))
+        return float(change @ change)
 
     def measured(self, solved: _Solved) -> Array:
         """The residuals of measured values."""
@@ -376,8 +390,21 @@ def evidence(
     ridge: float,
     seed: int,
 ) -> float:
+    """The ridge of `most_evident`."""
+    return most_evident(problem, equations, residuals, delta, theta, ridge, seed)[0]
+
+
+def most_evident(
+    problem: Problem,
+    equations: NormalEquations,
+    residuals: Array,
+    delta: float,
+    theta: Array,
+    ridge: float,
+    seed: int,
+) -> tuple[float, float]:
     """The ridge that maximises the evidence at the present linearisation (MacKay 1992), averaged with the present one
-    (in logarithms).
+    (in logarithms), and the degrees of freedom that the fit has used (0 where they are not known).
 
     With gamma effective weights the prior's precision is gamma / |w|^2; the noise variance is that of the residuals,
     corrected for all used degrees of freedom. The ridge is the product of the two.
@@ -386,13 +413,13 @@ def evidence(
     weights = theta[: parameters.n_weights]
     size = float(weights @ weights)
     if not len(weights) or size == 0.0:
-        return ridge
+        return ridge, 0.0
     scale = max(float(np.mean(residuals**2)), 1e-300)
     try:
         freedom = equations.degrees_of_freedom(WEAK * scale, seed)
     except np.linalg.LinAlgError:  # numerically singular: the damping is too small for an estimate
-        return ridge
+        return ridge, 0.0
     unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
     effective = max(freedom - unpenalised, 1.0)
     target = noise_variance(problem, residuals, delta, freedom) * effective / size
-    return target if ridge <= 0 else float(np.sqrt(ridge * target))
+    return target if ridge <= 0 else float(np.sqrt(ridge * target)), freedom

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import sympy
@@ -15,7 +14,7 @@ from gbspec.training.engines import Engine, happened, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, Stage
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe.context import Context
-from gbspec.training.recipe.finer import STEADY, FinerStep, LastFit, step_shows
+from gbspec.training.recipe.finer import FinerStep, LastFit, continuing, step_shows
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
 from gbspec.training.stages import Effort, StageName, most_iterations
 
@@ -33,7 +32,7 @@ def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effor
         found, fraction, cut = last(reached), step_fraction(reached.begun), context.cut()
         assert found is not None, "the stage has begun"
         layout, blend = found.layout, found.blend
-        chosen = replace(found.options(reached.theta), damping=STEADY)
+        chosen = continuing(found.options(reached.theta), reached)
         newton = LevenbergMarquardt(StageName.CUT, most, lambda i: cut.engine(layout, blend, fraction, i), chosen)
         model = context.switched.model
         assert model is not None, "the stage has begun"

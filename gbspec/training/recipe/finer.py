@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Engine, predicted, residual_table
+from gbspec.training.engines import Engine, predicted, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, moved
 from gbspec.training.problem import Parameters, mean_loss, measured_only
 from gbspec.training.recipe.context import Context
@@ -44,6 +44,12 @@ class LastFit:
     seen: float
     options: Callable[[Array], LevenbergOptions]
     constants: bool
+
+
+def continuing(options: LevenbergOptions, reached: Reached) -> LevenbergOptions:
+    """The options of a stage that continues a fit: with little damping, and the ridge where its evidence stood."""
+    ridge = reached.ridge if options.evidence and reached.ridge > 0 else options.ridge
+    return replace(options, damping=STEADY, ridge=ridge)
 
 
 INEXACT, LIMITED = "inexact", "limited"
@@ -124,7 +130,11 @@ class FinerStep(LevenbergMarquardt):
         return super().begin(theta)
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """One iteration, with the step in its remark."""
+        """One iteration, with the step in its remark; none is needed where residuals are small at this step too."""
+        if iteration == 0 and self.name == StageName.FINER:
+            residuals = residual_vector(self.engine_at(0), state["theta"])
+            if self.close(state["theta"], residuals):
+                return Outcome(state, mean_loss(residuals), True, remark=self.remark)
         outcome = super().step(state, iteration)
         return Outcome(outcome.state, outcome.loss, outcome.done, outcome.note, self.remark)
 
@@ -138,7 +148,7 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
         found, fraction = last(reached), step_fraction(reached.begun) / 2
         assert found is not None, "the stage has begun"
         layout, blend = found.layout, found.blend
-        chosen = replace(found.options(reached.theta), damping=STEADY)
+        chosen = continuing(found.options(reached.theta), reached)
         newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
         rtol = context.tolerance(fraction)
         size = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"

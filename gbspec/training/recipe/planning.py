@@ -17,15 +17,16 @@ from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage
-from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, finer_step
+from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
+from gbspec.training.recipe.judging import FEW, NOISE, Judged
 from gbspec.training.recipe.known import SegmentsOfKnown
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
-from gbspec.training.recipe.weighing import REWEIGHTINGS, noise_table, reweighed
-from gbspec.training.recipe.whole import ENOUGH, ROUNDING, whole_of_exact_data
+from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
+from gbspec.training.recipe.whole import ENOUGH, ROUNDING, unmeasured, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -33,19 +34,13 @@ LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
 PASSES = 128
 """Above this number of states (each needs a backward pass of the Jacobian) the networks are fitted by L-BFGS."""
-NOISE = 0.01
-"""Above this typical residual of a channel after teacher forcing (in standard deviations) the data are treated as
-noisy; above this root mean square of a channel's residual whole solutions do not follow the data."""
-ASTRAY = 0.3
-"""Above this root mean square of a channel's residual (R² of 0.91) whole solutions have to be found from segments."""
-LOST = 1.0
-"""Above it (R² below 0) they tell nothing."""
-FEW = 600
-"""Below this number of measured values the weights have a prior from the first iteration."""
 WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
 """Largest numbers of iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
 """The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
+SPREAD = 0.07
+"""A fit under the evidence's ridge rests where iterations move predictions by less than this many of their standard
+deviations; what moves them less only shrinks weights that the data leave open."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
@@ -76,6 +71,7 @@ class _Planner:
         self.enough = ENOUGH[self.effort]
         # Whole solutions of noisy data must not start from single noisy values; the vector's layout stays the same.
         self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
+        self.judged = Judged(context, parameters, self.released, self.values)
 
     def stages(self) -> list[Planned]:
         return self._estimation() + ([self._breeding()] if self.options.initial == "bred" else [])
@@ -135,7 +131,7 @@ class _Planner:
                 and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
             )
 
-        segments = SegmentsOfKnown(context, self.released, self._whole_astray, self.effort)
+        segments = SegmentsOfKnown(context, self.released, self.judged.whole_astray, self.effort)
 
         def known(reached: Reached) -> LastFit | None:
             if segments.alone(reached):
@@ -165,7 +161,7 @@ class _Planner:
 
         def settings(reached: Reached) -> LevenbergOptions:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
-            return replace(chosen, damping=STEADY)
+            return continuing(chosen, reached)
 
         return reweighed(self.context, self._most(StageName.WEIGHTS), self._layout, settings, fitted)
 
@@ -210,10 +206,10 @@ class _Planner:
             self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
-            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
-            *(self._weights(self._regular, self._noisy_whole) for _ in range(REWEIGHTINGS)),
+            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit()),
+            *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
-            whole_of_exact_data(self.context, self._layout, self.effort, self._to_rounding, self._exact),
+            whole_of_exact_data(self.context, self._layout, self.effort, self._to_rounding, self.judged.exact),
             *self._continued(),
         ]
 
@@ -229,7 +225,7 @@ class _Planner:
         def make(reached: Reached) -> Stage:
             found = self._last_of_networks(reached)
             assert found is not None, "the stage is possible"
-            chosen = replace(found.options(reached.theta), damping=STEADY, enough=ENOUGH["high"])
+            chosen = replace(continuing(found.options(reached.theta), reached), enough=ENOUGH["high"])
             engine = self._at(found.blend, step_fraction(reached.begun), found.layout)
             return Further(LevenbergMarquardt(StageName.FURTHER, total, engine, chosen))
 
@@ -278,49 +274,6 @@ class _Planner:
         plain = residual_vector(self.context.engine(self.parameters), reached.theta)
         return typical(plain) > 3 * typical(residual_vector(self._imputed(0), reached.theta)) + 1e-6
 
-    def _noise(self, theta: Array) -> float:
-        return typical(residual_vector(self.context.engine(self.parameters), theta))
-
-    def _noisy(self, reached: Reached) -> bool:
-        """Whether a channel's typical residual of intervals exceeds `NOISE`."""
-        engine = self.context.engine(self.parameters)
-        table, seen = noise_table(engine, reached.theta), engine.problem.seen
-        return any(typical(table[seen[:, i], i]) > NOISE for i in range(table.shape[1]))
-
-    def _noisy_whole(self, reached: Reached) -> bool:
-        """Whether whole solutions were fitted to data that are not exact."""
-        return StageName.AUTOREGRESSIVE in reached.marks and self._noisy(reached)
-
-    def _whole_error(self, reached: Reached) -> float:
-        """The root mean square residual of whole solutions, of the channel in which it is largest."""
-        engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
-        table, seen = noise_table(engine, reached.theta), engine.problem.seen
-        losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
-        return float(np.sqrt(2 * max(losses, default=0.0))) if np.isfinite(losses).all() else float("inf")
-
-    def _astray(self, reached: Reached) -> bool:
-        """Whether whole solutions are so far from the data that segments are needed to find them.
-
-        Not with few noisy values: segments are fitted without a ridge, and would follow the noise. Yet they are all
-        that is left where intervals could not be fitted, or where whole solutions are worse than the mean.
-        """
-        if StageName.TEACHER not in reached.marks:
-            return True
-        error = self._whole_error(reached)
-        return error > LOST or (error > ASTRAY and (self.values >= FEW or not self._noisy(reached)))
-
-    def _whole_astray(self, reached: Reached) -> bool:
-        """Whether whole solutions are far from the data."""
-        return self._whole_error(reached) > ASTRAY
-
-    def _unfollowed(self, reached: Reached) -> bool:
-        """Whether whole solutions have to be fitted: they do not follow the data, or the data are noisy."""
-        return StageName.HORIZONS in reached.marks or self._noisy(reached) or self._whole_error(reached) > NOISE
-
-    def _exact(self, reached: Reached) -> bool:
-        """Whether neither intervals nor whole solutions show any noise."""
-        return not self._noisy(reached) and self._whole_error(reached) <= NOISE
-
     def _layout(self, reached: Reached) -> Parameters:
         """The layout of the last fit: with free initial states where whole solutions were fitted with these, or where
         a stage has moved measured ones (their entries are not zero), which no other layout represents."""
@@ -329,14 +282,14 @@ class _Planner:
         return self.released if fitted or moved else self.parameters
 
     def _clean(self, reached: Reached) -> bool:
-        return self.options.half_step and StageName.HORIZONS not in reached.marks and not self._noisy(reached)
+        return self.options.half_step and StageName.HORIZONS not in reached.marks and not self.judged.noisy(reached)
 
     def _whole_next(self, reached: Reached) -> bool:
         """Whether whole solutions are fitted without segments before."""
-        return StageName.HORIZONS not in reached.marks and self._unfollowed(reached)
+        return StageName.HORIZONS not in reached.marks and self.judged.unfollowed(reached)
 
     def _blended(self, reached: Reached) -> bool:
-        return StageName.HORIZONS not in reached.marks and self._noisy(reached)
+        return StageName.HORIZONS not in reached.marks and self.judged.noisy(reached)
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Options of the first stage: regularised if there are few data, else plain."""
@@ -366,10 +319,11 @@ class _Planner:
 
     def _regular(self, theta: Array) -> LevenbergOptions:
         """Options with a ridge on the weights, derived from the noise or as requested."""
-        noise = max(self._noise(theta), 0.01)
+        noise = max(self.judged.noise(theta), 0.01)
         noise = noise if np.isfinite(noise) else 1.0
         if self.options.ridge is None:
-            return LevenbergOptions(ridge=FIRST_RIDGE * noise**2, evidence=True, tolerance=1e-4)
+            spread = 0.0 if unmeasured(self.context.model) else SPREAD
+            return LevenbergOptions(ridge=FIRST_RIDGE * noise**2, evidence=True, tolerance=1e-4, spread=spread)
         if self.options.ridge == 0:
             return LevenbergOptions(tolerance=1e-4)
         initial = np.concatenate([v.ravel() for k, v in self.context.module.weights.items() if k.endswith("weight")])
@@ -390,7 +344,7 @@ class _Planner:
             starts += [self._random(reached.theta, number) for number in range(1, most - len(starts) + 1)]
             return GrowingHorizons(context, self.released, starts[:most], self.effort)
 
-        return Planned(StageName.HORIZONS, parts * most, make, self._astray, lambda reached: parts > 0)
+        return Planned(StageName.HORIZONS, parts * most, make, self.judged.astray, lambda reached: parts > 0)
 
     def _random(self, theta: Array, number: int) -> Array:
         """The vector with other random weights."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from gbspec.arrays import Array
+from gbspec.ir import Model
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Stage
 from gbspec.training.problem import Parameters, mean_loss
@@ -25,6 +26,11 @@ ROUNDING = 1e-15
 times these residuals (two tanks: 3 % at a loss of 7e-11, 0.2 % at 3e-15)."""
 
 
+def unmeasured(model: Model) -> bool:
+    """Whether a state is not measured by a channel of its own: measured values then tell little of its rates."""
+    return not set(range(len(model.states))) <= {channel.state for channel in model.channels}
+
+
 def whole_of_exact_data(
     context: Context,
     layout: Callable[[Reached], Parameters],
@@ -34,7 +40,7 @@ def whole_of_exact_data(
 ) -> Planned:
     """The stage, at the step of the stage before; only where the data are `exact`."""
     total = most_iterations(StageName.WHOLE, effort)
-    hidden = not set(range(len(context.model.states))) <= {channel.state for channel in context.model.channels}
+    hidden = unmeasured(context.model)
 
     def make(reached: Reached) -> Stage:
         fraction = step_fraction(reached.begun)

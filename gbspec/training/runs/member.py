@@ -166,15 +166,15 @@ class _Runner:
         position = self.position
         begun, weights = [stage.name for stage in position.stages], self.context.estimated
         if position.iteration == 0:
-            if not planned.due(Reached(position.theta, position.marks, begun)):
+            if not planned.due(Reached(position.theta, position.marks, begun, position.ridge)):
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
                 if self.context.options.named_stages and planned.name not in begun and note not in position.notes:
                     position.notes.append(note)
                 return
             position.entry = position.theta
             if planned.weigh is not None:
-                self._weigh(planned.weigh(Reached(position.theta, position.marks, begun)))
-        stage = planned.make(Reached(position.entry, position.marks, begun))
+                self._weigh(planned.weigh(Reached(position.theta, position.marks, begun, position.ridge)))
+        stage = planned.make(Reached(position.entry, position.marks, begun, position.ridge))
         try:
             if position.iteration == 0:
                 position.state = stage.begin(position.theta)
@@ -245,7 +245,7 @@ class _Runner:
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
         position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
-        position.ridge = float(outcome.state.get("ridge", np.array(0.0)))
+        position.ridge = float(outcome.state.get("ridge", np.array(position.ridge)))
         position.iteration += 1
         if isinstance(stage, InnovationsFit):
             self.context.estimated = position.estimated = stage.estimated(position.state)

@@ -23,7 +23,7 @@ class Position:
     holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
     belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
     number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
-    weighed, if they are; `ridge` that of a population's networks.
+    weighed, if they are; `ridge` that of the last stage that had any.
     """
 
     stage: int = 0
