@@ -19,7 +19,7 @@ from gbspec.training.engines.native.engine import NativeEngine
 from gbspec.training.engines.native.inputs import Latest
 from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import predicted
-from gbspec.training.engines.torch.control import planned
+from gbspec.training.engines.torch.planning import planned
 from gbspec.training.problem.mesh import Control
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem

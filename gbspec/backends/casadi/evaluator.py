@@ -351,7 +351,7 @@ class Evaluator:
 
     @cached_property
     def _event_solver(self) -> EventSolver:
-        return EventSolver(self.instance, self.rhs)
+        return EventSolver(self.instance, self.rhs, self.jacobian)
 
     @cached_property
     def _stepper(self) -> steps.Stepper:

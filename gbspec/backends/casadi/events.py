@@ -27,7 +27,10 @@ Flags = NDArray[np.bool_]
 SAMPLES = 24
 """Places within a step of the solver at which conditions are looked at; maxima between them are refined."""
 MANY = 100_000
-"""Most steps between two events, after which the problem is treated as stiff."""
+"""Most steps between two events."""
+LOOK, UNSTABLE = 100, 3.0
+"""After every so many steps between two events it is looked whether the fastest decay limits them: steps times its rate
+are at the limit of stability of the explicit method then, which is about twice this number."""
 CASCADE = 100
 """Most events at one time."""
 SHORT, CLOSE = 30, 1e-11
@@ -46,10 +49,11 @@ class _Place:
 
 
 class EventSolver:
-    """Solves one instance's equations; `rhs` is its casadi.Function."""
+    """Solves one instance's equations; `rhs` is its casadi.Function, `jacobian` that of its derivatives."""
 
-    def __init__(self, instance: GeneratedModule, rhs: Casadi) -> None:
-        self._instance, self._rhs, self._math = instance, rhs, instance.arithmetic("numpy")
+    def __init__(self, instance: GeneratedModule, rhs: Casadi, jacobian: Casadi) -> None:
+        self._instance, self._rhs, self._jacobian = instance, rhs, jacobian
+        self._math = instance.arithmetic("numpy")
         self._networks = instance.numpy_networks()
         self._events = instance.equations.events
         self._timed = sum(timed for _, timed, _ in self._events)
@@ -69,6 +73,7 @@ class _Trajectory:
         self.span = max(float(outputs[-1]) - begin, 1e-300)
         self.states = np.full((len(outputs), len(problem.scales)), np.nan)
         self.recorded = outputs <= begin
+        self.stiff = False
         self.piece = Segment(begin, begin, np.zeros(0), np.zeros(0), np.zeros(0))
         self.timing: tuple[tuple[float | None, ...], ...] = ()
         if solver._timed:
@@ -106,6 +111,11 @@ class _Trajectory:
         time = min(max(time, self.piece.begin + first), self.piece.end - last)
         found = self.solver._rhs(time, state, self.problem.condition, self.inputs(time), self.problem.constants)
         return np.array(found).ravel()
+
+    def slopes(self, time: float, state: Array) -> Array:
+        """The derivatives of the rates by the states."""
+        given = self.problem.condition, self.inputs(time), self.problem.constants
+        return np.array(self.solver._jacobian(time, state, *given), dtype=np.float64)
 
     def guards(self, time: float | Array, state: Array) -> Array:
         """The guards [..., W] at times [...] and states [..., n]."""
@@ -156,17 +166,15 @@ class _Trajectory:
 
     def until(self, place: _Place, stop: float) -> Flags:
         """Goes to the first event with a condition, or to `stop`, and records the states on the way."""
-        from scipy.integrate import DOP853, Radau
-
         local = max(self.problem.rtol * LOCAL, FINEST * 10)
         options = {"rtol": local, "atol": max(self.problem.atol * LOCAL, FINEST) * self.problem.scales}
         none = np.zeros(len(place.on), dtype=bool)
-        kinds: list[type[OdeSolver]] = [DOP853, Radau]
-        solver, steps = kinds[0](self.rate, place.time, place.state, stop, **options), 0
+        solver, steps = self.method(place.time, place.state, stop, **options), 0
         leaving = ~place.on
         while solver.status == "running":
-            if steps > MANY and isinstance(solver, DOP853):
-                solver, steps = Radau(self.rate, solver.t, solver.y, stop, **options), 0
+            if steps % LOOK == LOOK - 1 and not self.stiff and self.limits(solver):
+                self.stiff = True
+                solver = self.method(solver.t, solver.y, stop, **options)
             solver.step()
             steps += 1
             if solver.status == "failed" or steps > MANY or not np.isfinite(solver.y).all():
@@ -179,6 +187,21 @@ class _Trajectory:
                 return found
             leaving = none
         return none
+
+    def method(self, time: float, state: Array, stop: float, rtol: float, atol: Array) -> OdeSolver:
+        """The method for what follows: explicit until the equations have shown that they are stiff."""
+        from scipy.integrate import DOP853, Radau
+
+        if not self.stiff:
+            return DOP853(self.rate, time, state, stop, rtol=rtol, atol=atol)
+        return Radau(self.rate, time, state, stop, rtol=rtol, atol=atol, jac=self.slopes)
+
+    def limits(self, solver: OdeSolver) -> bool:
+        """Whether a decay, and not the error, limits the steps of the explicit method."""
+        slopes = self.slopes(solver.t, solver.y)
+        modes = np.linalg.eigvals(slopes) if np.isfinite(slopes).all() else np.zeros(1)
+        fastest = modes[np.abs(modes).argmax()]
+        return bool(fastest.real < 0 and abs(fastest) * solver.step_size > UNSTABLE)
 
     def record(self, dense: Callable[[Array], Array], end: float) -> None:
         """Keeps the states up to a time; those at the time of an event are those before it."""

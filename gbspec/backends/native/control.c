@@ -9,6 +9,13 @@ typedef struct {
     double slopes[TILE][STATES * STATES + 1], lu[TILE][STATES * STATES + 1];
     int32_t pivots[TILE][STATES + 1];
     double begun[TILE], next[TILE], h[TILE], before[TILE];
+    real from[STATES * TILE]; /* where the tried steps begin, and their lengths: with events up to the first of these */
+    double tried[TILE];
+#if EVENTS
+    real prior[STATES];       /* before what arrived at the start of the cell */
+    double event, last_gap;   /* the time of the last event, and its distance from the one before */
+    int falling;              /* so many ever shorter ones */
+#endif
     int64_t cell[TILE], attempts[TILE];
     int going[TILE], entering[TILE], known[TILE];
 } Control;
@@ -28,6 +35,10 @@ static void enter(Control *c, int t) {
         if (weight != 0) *state = R(weight * d->value[row * STATES + i] + (weight == 1 ? 0 : (1 - weight) * *state));
     }
     if (full) c->attempts[t] = 0, c->next[t] = NAN, c->before[t] = 1;
+#if EVENTS
+    if (full) c->event = -INFINITY, c->last_gap = INFINITY, c->falling = 0;
+    memcpy(c->prior, c->x, sizeof c->prior);
+#endif
     for (int32_t j = d->arrival_at ? d->arrival_at[cell_at(c, t)] : -1; j >= 0; j = d->arrival_next[j])
         c->x[d->arrival_state[j] * TILE + t] += R(c->w->inputs->amounts[j]);
     c->entering[t] = c->known[t] = 0;
@@ -47,6 +58,7 @@ static void place_at(Control *c, double share) {
     }
 }
 
+#if !EVENTS
 /* Copies the slopes of activations, which a reverse pass overwrites, from the first block to the second one, which the
    choice of steps does not use, or back. */
 static void copy_first_block(const Work *w, int back) {
@@ -80,33 +92,16 @@ static void find_slopes(Control *c) {
     }
     for (int t = 0; t < TILE; t++) c->known[t] = 1;
 }
+#endif
 
-#if MATRICES
+#if MATRICES && !EVENTS
 /* The factors of I - gamma h W in a lane, with exchanges of rows. */
-static void factorise(Control *c, int t) {
-    const int n = STATES;
-    double *a = c->lu[t];
-    for (int i = 0; i < n * n; i++) {
-        const double m = (i % (n + 1) == 0) - GAMMA * c->h[t] * c->slopes[t][i];
-        a[i] = isfinite(m) ? m : 1;
-    }
-    for (int k = 0; k < n; k++) {
-        int p = k;
-        for (int i = k + 1; i < n; i++) p = fabs(a[i * n + k]) > fabs(a[p * n + k]) ? i : p;
-        c->pivots[t][k] = p + 1;
-        for (int j = 0; p != k && j < n; j++) {
-            const double swapped = a[k * n + j];
-            a[k * n + j] = a[p * n + j];
-            a[p * n + j] = swapped;
-        }
-        for (int i = k + 1; i < n; i++) {
-            a[i * n + k] /= a[k * n + k];
-            for (int j = k + 1; j < n; j++) a[i * n + j] -= a[i * n + k] * a[k * n + j];
-        }
-    }
+static void factorise_lane(Control *c, int t) {
+    factorise_step(c->slopes[t], c->h[t], c->lu[t], c->pivots[t]);
 }
 #endif
 
+#if !EVENTS
 /* The Runge-Kutta stages of the tried steps (the first one is known), and the states after them. */
 static void try_steps(Control *c) {
     real sum[STATES * TILE], place[STATES * TILE];
@@ -132,17 +127,20 @@ static void try_steps(Control *c) {
     zero(sum, STATES * TILE);
     add_weighted(STAGES, TABLEAU_B, c->k, sum);
     for (int i = 0; i < STATES * TILE; i++) c->after[i] = c->x[i] + R(c->h[i % TILE]) * sum[i];
+    memcpy(c->from, c->x, sizeof c->from);
+    memcpy(c->tried, c->h, sizeof c->tried);
 }
+#endif
 
 /* The error of a lane's step in units of the tolerance; infinite where it is not a number. */
 static double error_of(const Control *c, int t) {
     double worst = 0;
     if (*c->walk->rtol < 0) return 0;
     for (int i = 0; i < STATES; i++) {
-        const double x = fabs(c->x[i * TILE + t]), after = fabs(c->after[i * TILE + t]);
+        const double x = fabs(c->from[i * TILE + t]), after = fabs(c->after[i * TILE + t]);
         double error = 0;
         for (int q = 0; q < TRIED; q++) error += TABLEAU_E[q] * c->k[q][i * TILE + t];
-        const double ratio = fabs(c->h[t] * error) / (*c->walk->rtol * ((x > after ? x : after) + c->walk->floor[i]));
+        const double ratio = fabs(c->tried[t] * error) / (*c->walk->rtol * ((x > after ? x : after) + c->walk->floor[i]));
         if (!(isfinite(ratio) && isfinite(after))) return INFINITY;
         if (ratio > worst) worst = ratio;
     }
@@ -171,7 +169,9 @@ static void keep(Control *c, int t, double length) {
     walk->cell[at] = (int32_t)c->cell[t];
     walk->begin[at] = c->begun[t];
     walk->length[at] = length;
-#if MATRICES
+#if MATRICES && EVENTS
+    memcpy(walk->factors + at * (STATES * STATES), c->slopes[t], STATES * STATES * sizeof(double));
+#elif MATRICES
     memcpy(walk->factors + at * (STATES * STATES), c->lu[t], STATES * STATES * sizeof(double));
     memcpy(walk->exchanges + at * STATES, c->pivots[t], STATES * sizeof(int32_t));
 #endif
@@ -192,8 +192,8 @@ static void give_up(Control *c, int t) {
     c->going[t] = c->cell[t] < c->w->steps[t];
 }
 
-static void decide(Control *c, int t) {
-    const double ratio = error_of(c, t), left = whole(c, t) - c->begun[t], now = fabs(c->w->data->t[cell_at(c, t)]) + c->begun[t];
+static void decide(Control *c, int t, double ratio) {
+    const double left = whole(c, t) - c->begun[t], now = fabs(c->w->data->t[cell_at(c, t)]) + c->begun[t];
     const int last = c->h[t] >= left * (1 - 1e-12);
     c->attempts[t]++;
     resize(c, t, ratio);
@@ -229,6 +229,22 @@ static void choose_steps(Control *c) {
     }
 }
 
+/* Tries the chosen steps, and keeps those whose error is small enough. */
+#if EVENTS
+static void interrupt(Control *c);
+#define attempt interrupt
+#else
+static void attempt(Control *c) {
+#if MATRICES
+    find_slopes(c);
+    for (int t = 0; t < TILE; t++) factorise_lane(c, t);
+#endif
+    try_steps(c);
+    for (int t = 0; t < TILE; t++)
+        if (c->going[t]) decide(c, t, error_of(c, t));
+}
+#endif
+
 /* Returns whether all lanes have reached their ends; else more room is needed. */
 static int64_t walk_tile(Control *c) {
     for (;;) {
@@ -243,13 +259,7 @@ static int64_t walk_tile(Control *c) {
         place_at(c, 0);
         rhs_forward(c->w, 0, c->x, c->time, c->inputs, c->k[0]);
         choose_steps(c);
-#if MATRICES
-        find_slopes(c);
-        for (int t = 0; t < TILE; t++) factorise(c, t);
-#endif
-        try_steps(c);
-        for (int t = 0; t < TILE; t++)
-            if (c->going[t]) decide(c, t);
+        attempt(c);
     }
 }
 
@@ -268,6 +278,10 @@ int64_t control(const Data *data, const Inputs *inputs, const Walk *walk, char *
         c.going[t] = w->active[t] && w->steps[t] > 0;
         c.entering[t] = 1;
         c.next[t] = NAN;
+#if EVENTS
+        c.event = -INFINITY;
+        c.last_gap = INFINITY;
+#endif
         c.before[t] = 1;
         walk->taken[t] = 0;
     }

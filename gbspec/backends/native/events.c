@@ -8,7 +8,17 @@
 
 /* ---------------------------------------------------------------- the sub-step and steps within it */
 
-static void open_crossing(const Work *w, int64_t s, Crossing *c) {
+/* The Jacobian that is frozen in the sub-step; each part has a matrix for its own length. */
+static void freeze(Work *w, const double *jacobian) {
+#if MATRICES
+    w->jacobian = jacobian;
+    w->factored = NAN;
+#else
+    (void)w, (void)jacobian;
+#endif
+}
+
+static void open_crossing(Work *w, int64_t s, Crossing *c) {
     const Data *d = w->data;
     const int64_t place = w->first[0] + s, at = w->who[0] * d->depth + place;
     c->begin = d->t[at];
@@ -23,16 +33,37 @@ static void open_crossing(const Work *w, int64_t s, Crossing *c) {
         c->before[j] = place ? d->inputs[((at - 1) * NODES + NODES - 1) * INPUTS + j] : c->first[j];
     }
     c->count = c->fired_count = c->endless = 0;
+    freeze(w, d->lu ? d->lu + at * STATES * STATES : NULL);
 }
 
 static void inputs_within(const Crossing *c, double time, real *u) {
     for (int j = 0; j < INPUTS; j++) u[j] = R(c->first[j] + (time - c->begin) / c->unit * (c->last[j] - c->first[j]));
 }
 
+#if MATRICES
+static void factorise_part(Work *w, double size) {
+    if (w->factored == size) return;
+    factorise_step(w->jacobian, size, w->part, w->exchanges);
+    w->factored = size;
+}
+
+/* sum = v of a Runge-Kutta stage, k = (f + v) / matrix - v. */
+static void divide_stage(const Work *w, int q, real k[][STATES], real *sum) {
+    zero(sum, STATES);
+    add_weighted(q, TABLEAU_V[q], k, sum);
+    for (int i = 0; i < STATES; i++) k[q][i] += sum[i];
+    divide(w->part, w->exchanges, 0, k[q]);
+    for (int i = 0; i < STATES; i++) k[q][i] -= sum[i];
+}
+#endif
+
 /* A step of the method from some time within; its Runge-Kutta stages stay in the first places of the work space. */
 static void step_within(Work *w, const Crossing *c, double at, double size, const real *x, real *end) {
     real sum[STATES], u[INPUTS + 1], time[1];
     real (*k)[STATES] = (real(*)[STATES])w->rates;
+#if MATRICES
+    factorise_part(w, size);
+#endif
     for (int q = 0; q < STAGES; q++) {
         real *place = w->states + (size_t)q * STATES;
         zero(sum, STATES);
@@ -41,6 +72,9 @@ static void step_within(Work *w, const Crossing *c, double at, double size, cons
         time[0] = R(at + TABLEAU_C[q] * size);
         inputs_within(c, at + TABLEAU_C[q] * size, u);
         rhs_forward(w, (size_t)q, place, time, u, k[q]);
+#if MATRICES
+        divide_stage(w, q, k, sum);
+#endif
     }
     zero(sum, STATES);
     add_weighted(STAGES, TABLEAU_B, k, sum);

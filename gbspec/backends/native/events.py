@@ -8,7 +8,7 @@ import sympy
 
 from gbspec.backends.native.flat import Flat, Leaf, NotCoveredError, flatten
 from gbspec.backends.native.sections import Equations
-from gbspec.ir import Event, Explicit, Expr, Method, Model
+from gbspec.ir import Event, Expr, Model
 
 _PLACES = "const real *restrict x, const real *restrict time, const real *restrict inputs"
 _BACK = "const real *restrict ob, real *restrict xb, double *restrict kb, real *restrict tb, real *restrict ub"
@@ -18,14 +18,12 @@ _UNUSED_BACK = "(void)ob; (void)xb; (void)kb; (void)tb; (void)ub;"
 Place = Callable[[Leaf], str]
 
 
-def check(model: Model, precision: str, method: Method) -> None:
+def check(model: Model, precision: str) -> None:
     """Raises NotCoveredError for what the kernel does not offer together with events."""
     if not model.events:
         return
     if precision != "float64":
         raise NotCoveredError("it has events, whose times need double precision")
-    if not isinstance(method, Explicit):
-        raise NotCoveredError("it has events, whose times are found within explicit steps")
 
 
 def sizes(model: Model) -> dict[str, int]:

@@ -98,22 +98,27 @@ static int first_of(const double *wait) {
     return which;
 }
 
-/* The solution over sub-step s from the state x before what arrives at its start; `crossing` then has all its parts. */
-static void cross(Work *w, int64_t s, real *x) {
-    Crossing *c = w->crossing;
-    real before[STATES], end[STATES];
-    double wait[EVENTS], at, left, last = INFINITY;
-    int shorts = 0, falling = 0;
-    open_crossing(w, s, c);
+/* Shorter intervals than this are near an end of ever shorter ones. Rates of conditions are differences over a tick, and
+   say nothing there. */
+static double near_in(const Crossing *c) { return 10 * c->tick > NEAR * c->band ? 10 * c->tick : NEAR * c->band; }
+
+/* The first part of an opened sub-step, from the states before and after what arrives at its start: x becomes the state
+   after the events there. */
+static Piece *begin_parts(Work *w, Crossing *c, const real *before, real *x) {
     open_sides(w, c);
-    memcpy(before, x, sizeof before);
-    for (int32_t j = arrival_of(w, s, 0); j >= 0; j = w->data->arrival_next[j])
-        x[w->data->arrival_state[j]] += R(w->inputs->amounts[j]);
     memcpy(c->entry, x, sizeof c->entry);
     start_crossing(w, c, before, x);
-    at = c->begin, left = c->length;
-    Piece *p = new_piece(c, at);
-    happen(w, c, p, at, x);
+    Piece *p = new_piece(c, c->begin);
+    happen(w, c, p, c->begin, x);
+    return p;
+}
+
+/* The solution over an opened sub-step; `crossing` then has all its parts. */
+static void cross_opened(Work *w, Crossing *c, const real *before, real *x) {
+    real end[STATES];
+    double wait[EVENTS], at = c->begin, left = c->length, last = INFINITY;
+    int shorts = 0, falling = 0;
+    Piece *p = begin_parts(w, c, before, x);
     for (int n = 0; n < CLOSE; n++) {
         const int ended = waits(w, c, at, left, x, wait, end), which = first_of(wait);
         const int found = isfinite(wait[which]);
@@ -125,7 +130,7 @@ static void cross(Work *w, int64_t s, real *x) {
 #endif
         shorts = found && wait[which] <= c->band ? shorts + 1 : 0;
         falling = found && wait[which] < 0.99 * last ? falling + 1 : 0;
-        if (shorts > SHORT || (falling > FALLING && wait[which] <= NEAR * c->band)) break;
+        if (shorts > SHORT || (falling > FALLING && wait[which] <= near_in(c))) break;
         last = wait[which];
         p->size = found ? wait[which] : left;
         if (found || !ended) step_within(w, c, at, p->size, x, end);
@@ -145,4 +150,14 @@ static void cross(Work *w, int64_t s, real *x) {
     p->size = left;
     c->endless = 1;
     for (int i = 0; i < STATES; i++) x[i] = p->x[i] = p->reached[i] = NAN;
+}
+
+/* The solution over sub-step s from the state x before what arrives at its start. */
+static void cross(Work *w, int64_t s, real *x) {
+    real before[STATES];
+    open_crossing(w, s, w->crossing);
+    memcpy(before, x, sizeof before);
+    for (int32_t j = arrival_of(w, s, 0); j >= 0; j = w->data->arrival_next[j])
+        x[w->data->arrival_state[j]] += R(w->inputs->amounts[j]);
+    cross_opened(w, w->crossing, before, x);
 }

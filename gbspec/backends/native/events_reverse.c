@@ -12,10 +12,30 @@ typedef struct {
     double of_start, of_length; /* cotangents of a part's start, at a fixed length, and of its length */
 } Moved;
 
+#if MATRICES
+/* A Runge-Kutta stage's division in reverse: `ob` becomes the cotangent of its right-hand side, `vb` that of what was
+   added; returns that of the step's length, by which the matrix is multiplied. */
+static double divide_back(const Work *w, int q, real *ob, real *vb) {
+    real sum[STATES];
+    double of_length = 0;
+    for (int i = 0; i < STATES; i++) vb[i] = -ob[i];
+    divide(w->part, w->exchanges, 1, ob);
+    for (int i = 0; i < STATES; i++) vb[i] += ob[i];
+    zero(sum, STATES);
+    add_weighted(q, TABLEAU_V[q], (real(*)[STATES])w->rates, sum);
+    for (int i = 0; i < STATES; i++)
+        for (int j = 0; j < STATES; j++) of_length += GAMMA * ob[i] * w->jacobian[i * STATES + j] * (rate(w, 0, q)[j] + sum[j]);
+    return of_length;
+}
+#endif
+
 /* The reverse of the step that `step_within` has just taken. `xb`: cotangent of its end, then of its start. */
 static Moved reverse_within(Work *w, const Crossing *c, double at, double size, real *xb, double *kb) {
     real sb[STAGES][STATES], ob[STATES], u[INPUTS + 1], tb[1], ub[INPUTS + 1], time[1];
     real hb[1] = {0};
+#if MATRICES
+    real vb[STAGES][STATES];
+#endif
     Moved out = {0, 0};
     for (int q = 0; q < STAGES; q++) length_reverse(TABLEAU_B[q], xb, rate(w, 0, q), hb);
     for (int q = STAGES - 1; q >= 0; q--) {
@@ -23,6 +43,10 @@ static Moved reverse_within(Work *w, const Crossing *c, double at, double size, 
         add_weighted(1, &TABLEAU_B[q], (real(*)[STATES])xb, ob);
         for (int p = q + 1; p < STAGES; p++) add_weighted(1, &TABLEAU_A[p][q], &sb[p], ob);
         for (int i = 0; i < STATES; i++) ob[i] *= R(size);
+#if MATRICES
+        for (int p = q + 1; p < STAGES; p++) add_weighted(1, &TABLEAU_V[p][q], &vb[p], ob);
+        out.of_length += divide_back(w, q, ob, vb[q]);
+#endif
         time[0] = R(at + TABLEAU_C[q] * size);
         inputs_within(c, at + TABLEAU_C[q] * size, u);
         zero(sb[q], STATES);

@@ -59,7 +59,7 @@ class Source:
 def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> Source:
     """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a model that torch must run."""
     _check(model)
-    events.check(model, precision, method)
+    events.check(model, precision)
     delays.check(model, method)
     balances = flatten(model, model.balances)
     # Steps that events cut are taken again one by one in the reverse pass; those with delays form their own products.
@@ -95,7 +95,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     # Only least-squares fits need the Jacobian, and they run in double precision.
     jacobian = "sensitivities" if model.delays else "jacobian"
     after += ["trained", jacobian] if precision == "float64" else []
-    after += ["control"] if _plans(model, precision, method) else []
+    after += ["control", *(["interrupted"] if model.events else [])] if _plans(model, precision, method) else []
     own = [*_equations(model, rhs, observe), *late.lines, *events.functions(model, _places(RHS_PLACES))]
     parts = [*map(_text, before), *table_functions(model.tables), *own, *map(_text, after)]
     return Source(
@@ -120,7 +120,7 @@ def _check(model: Model) -> None:
 
 def _plans(model: Model, precision: Precision, method: Method) -> bool:
     """Whether the kernel can choose adaptive steps."""
-    return precision == "float64" and method.b_error is not None and not model.events and not model.delays
+    return precision == "float64" and method.b_error is not None and not model.delays
 
 
 def _timed(model: Model) -> bool:

@@ -96,7 +96,36 @@ static void divide(const double *lu, const int32_t *pivots, int transposed, doub
     }
 }
 
-/* The same for a vector of each lane, with the matrices of step s. */
+/* Factors a matrix, with exchanges of rows, as LAPACK does. */
+static void factorise(double *a, int32_t *pivots) {
+    const int n = STATES;
+    for (int k = 0; k < n; k++) {
+        int p = k;
+        for (int i = k + 1; i < n; i++) p = fabs(a[i * n + k]) > fabs(a[p * n + k]) ? i : p;
+        pivots[k] = p + 1;
+        for (int j = 0; p != k && j < n; j++) {
+            const double swapped = a[k * n + j];
+            a[k * n + j] = a[p * n + j];
+            a[p * n + j] = swapped;
+        }
+        for (int i = k + 1; i < n; i++) {
+            a[i * n + k] /= a[k * n + k];
+            for (int j = k + 1; j < n; j++) a[i * n + j] -= a[i * n + k] * a[k * n + j];
+        }
+    }
+}
+
+/* The factors of I - gamma h W for a step of length h with the Jacobian W. */
+static void factorise_step(const double *jacobian, double h, double *a, int32_t *pivots) {
+    for (int i = 0; i < STATES * STATES; i++) {
+        const double m = (i % (STATES + 1) == 0) - GAMMA * h * jacobian[i];
+        a[i] = isfinite(m) ? m : 1;
+    }
+    factorise(a, pivots);
+}
+
+#if PLAIN
+/* Divides a vector of each lane by the matrices of step s. */
 static void divide_lanes(const Work *w, int64_t s, int transposed, real *vector) {
     double b[STATES];
     for (int t = 0; t < TILE; t++) {
@@ -108,6 +137,7 @@ static void divide_lanes(const Work *w, int64_t s, int transposed, real *vector)
         for (int i = 0; i < STATES; i++) vector[i * TILE + t] = R(b[i]);
     }
 }
+#endif
 #endif
 
 #if PLAIN

@@ -89,8 +89,13 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _places("logarithmic", "CHANNELS"),
         _places("side", "rows, CHANNELS", "of a limit that values lie on: -1, 1; 0: no limit", optional=True),
         _reals("level", "CHANNELS", "standard deviation of noise in units of residuals, 0: not known", optional=True),
-        _reals("lu", "trajectories, depth, STATES, STATES", "factored matrices, for methods with any", optional=True),
-        _places("pivots", "trajectories, depth, STATES", "their exchanges of rows, from 1", optional=True),
+        _reals(
+            "lu",
+            "trajectories, depth, STATES, STATES",
+            "factored matrices, for methods with any; Jacobians with events",
+            optional=True,
+        ),
+        _places("pivots", "trajectories, depth, STATES", "the exchanges of rows of factors, from 1", optional=True),
     ),
     # Data that depend on the parameter vector.
     "Inputs": (
@@ -186,7 +191,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         Field("cell", "sub-step that a step is part of", "int32_t", "TILE, room", written=True),
         _found("begin", "TILE, room", "after its start"),
         _found("length", "TILE, room", "NaN: there is no solution"),
-        _found("factors", "TILE, room, STATES, STATES", "of its matrix", optional=True),
+        _found("factors", "TILE, room, STATES, STATES", "of its matrix; Jacobians with events", optional=True),
         Field("exchanges", "of rows", "int32_t", "TILE, room, STATES", written=True, optional=True),
     ),
 }

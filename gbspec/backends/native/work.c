@@ -26,6 +26,11 @@ typedef struct {
 #if EVENTS
     real *starts; /* [checkpoint_interval][STATES]: states at the starts of steps */
     Crossing *crossing;
+#if MATRICES
+    const double *jacobian; /* of the right-hand side, frozen in the sub-step */
+    double part[STATES * STATES], factored; /* the matrix of a part of it, factored, and the part's size */
+    int32_t exchanges[STATES];
+#endif
     real side[SWITCHES + 1]; /* added to what decides at a switch of right-hand sides; 0: not held on one side */
 #endif
     real condition[CONDITIONS * TILE + 1], constants[CONSTANTS * TILE + 1], numbers[NUMBERS + 1];

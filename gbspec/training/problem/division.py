@@ -36,9 +36,9 @@ def meshed(path: Path, steps: Steps) -> Path:
     arrives = np.where(path.step >= 0, first[packed.doses.owner, np.maximum(path.step, 0)], -1)
     factors = None
     if steps.lu.shape[1]:
-        n = steps.lu.shape[1]
-        lu, pivots = np.broadcast_to(np.eye(n), (*shape, n, n)).copy(), np.zeros((*shape, n), dtype=np.int32)
-        pivots[:] = np.arange(1, n + 1)
+        n, exchanged = steps.lu.shape[1], steps.pivots.shape[1]
+        lu, pivots = np.broadcast_to(np.eye(n), (*shape, n, n)).copy(), np.zeros((*shape, exchanged), dtype=np.int32)
+        pivots[:] = np.arange(1, exchanged + 1)
         lu[new, owner], pivots[new, owner] = steps.lu[order], steps.pivots[order]
         factors = Factors(lu, pivots)
     return replace(path, packed=made, step=arrives, slope=slope, factors=factors)
@@ -52,7 +52,8 @@ def _completed(path: Path, steps: Steps) -> Steps:
     cell, owner = np.nonzero(~given & (np.arange(packed.depth)[:, None] < packed.steps))
     n, count = steps.lu.shape[1], len(cell)
     lu = np.broadcast_to(np.eye(n), (count, n, n))
-    pivots = np.broadcast_to(np.arange(1, n + 1, dtype=np.int32), (count, n))
+    exchanged = steps.pivots.shape[1]
+    pivots = np.broadcast_to(np.arange(1, exchanged + 1, dtype=np.int32), (count, exchanged))
     return Steps.joined([steps, Steps(owner, cell, np.zeros(count), packed.h[cell, owner], lu, pivots)])
 
 

@@ -39,10 +39,19 @@ class Control:
 
 @dataclass(frozen=True)
 class Factors:
-    """The factored matrices I - gamma M of each sub-step: `lu` [T, N, n, n] and `pivots` [T, N, n], as LAPACK's."""
+    """The factored matrices I - gamma M of each sub-step: `lu` [T, N, n, n] and `pivots` [T, N, n], as LAPACK's.
+
+    In models with events, which cut sub-steps, each part has a matrix for its own length: `lu` then are the Jacobians W
+    of the right-hand side, not factored, and `pivots` is [T, N, 0].
+    """
 
     lu: Array
     pivots: Pivots
+
+    @property
+    def whole(self) -> bool:
+        """Whether the matrices are those of whole sub-steps, factored."""
+        return bool(self.pivots.shape[2] == self.lu.shape[2])
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,8 @@ class Steps:
     """The steps in the cells of a path [A], in any order between cells and in the order of time within one.
 
     `owner`, `cell`: trajectory and sub-step of the path; `begin`, `length`: after the cell's start (NaN: there is no
-    solution); `lu` [A, n, n] and `pivots` [A, n], with no entries [A, 0, 0] for methods without matrices.
+    solution); `lu` [A, n, n] and `pivots` [A, n] as in `Factors`, with no entries [A, 0, 0]
+    for methods without matrices.
     """
 
     owner: Integers

@@ -22,8 +22,8 @@ from gbspec.training.starts import fit_curves
 
 
 def check_disturbed(model: Model, options: TrainOptions) -> None:
-    """Raises UserError for options that a model with disturbances, a population (GB770), events (GB778) or delays
-    (GB768) cannot have."""
+    """Raises UserError for options that a model with disturbances, a population (GB770) or delays (GB768) cannot
+    have."""
     found = []
     stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
     if stiff and (model.diffusions or model.marginal):
@@ -32,10 +32,6 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
         )
         help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
         found.append(Diagnostic("GB770", message, None, help=help))
-    if stiff and model.events:
-        message = "adaptive steps and stiff solvers are not offered yet for a model with events: their steps are fixed"
-        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
-        found.append(Diagnostic("GB778", message, None, help=help))
     if stiff and model.delays:
         message = "adaptive steps and stiff solvers are not offered yet for a model with delays: their steps are fixed"
         help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"

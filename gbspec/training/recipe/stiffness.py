@@ -58,8 +58,8 @@ def chosen_solver(
 ) -> tuple[str, str | None]:
     """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
 
-    Likelihoods (of innovations, or of a population) and models with events or delays are computed with the explicit
-    one, so are those with algebraic variables, where draws of constants are costly.
+    Likelihoods (of innovations, or of a population) and models with delays are computed with the explicit one, so are
+    those with algebraic variables, where draws of constants are costly.
     """
     if not _may_be_stiff(model):
         return solver_of(options), None
@@ -130,7 +130,7 @@ def decays(context: Context, parameters: Parameters, theta: Array) -> Array:
 def growth(context: Context, parameters: Parameters, theta: Array) -> tuple[float, float]:
     """The rate of growth of errors at the measured states (its mean over the trajectory in which they grow most), and
     this times the duration: the logarithm of the factor by which they grow."""
-    if not _may_be_stiff(context.model):
+    if not _may_be_stiff(context.model) or context.model.events:  # an event may undo what has grown
         return 0.0, 0.0
     problem, states = _at_data(context, parameters, theta)
     packed, worst = problem.packed, (0.0, 0.0)
@@ -227,4 +227,4 @@ def stiff_as_learned(
 
 def _may_be_stiff(model: Model) -> bool:
     """Whether the stiff solver is offered for a model."""
-    return not (model.diffusions or model.marginal or model.events or model.algebraics or model.delays)
+    return not (model.diffusions or model.marginal or model.algebraics or model.delays)

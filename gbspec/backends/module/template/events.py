@@ -20,7 +20,7 @@ from gbspec.backends.module.template.vectors import _tensor
 _CASCADE = 100  # most events at one time
 _CLOSE = 100  # most times of events in one step
 _SHORT = 20  # most of them that follow each other within the band
-_FALLING, _NEAR = 6, 1e5  # so many ever shorter intervals, the last one less than this many bands, have no end
+_FALLING, _NEAR = 6, 1e5  # so many ever shorter intervals, the last within this many bands or ten ticks, have no end
 
 
 class _Events:
@@ -36,19 +36,17 @@ class _Events:
         self.timed = sum(timed for _, timed, _ in equations.events)
         self.trouble = ""
 
-    def across(self, t: Any, h: Any, x: Any, u: Any, origin: Any, before: Any) -> Any:
+    def across(self, t: Any, h: Any, x: Any, u: Any, origin: Any, before: Any, divide: Any = None) -> Any:
         """The state after a step of size h from t with inputs `u` at its nodes; trajectories start at `origin`, and
-        `before` are state and inputs before what arrived at t."""
+        `before` are state and inputs before what arrived at t. `divide(size)`, for methods with matrices, is the
+        division by that of a part with some size; without it each part has a matrix of its own."""
         import torch
 
         span = self._span(t, h, x, u)
-        with torch.no_grad():
-            on, pending, turn, rated = self._start(span, x.detach(), _tensor(origin, x), before)
+        span.divide = divide
+        x, on, turn, rated = self._begun(span, x, origin, before)
         at, left = span.begin, span.length
-        if pending.any():
-            x, on, turn = self._happen(span, at, x, pending, on, turn)
-            rated = None
-        gaps = _Gaps(at, self.band)
+        gaps = _Gaps(at, self.band, span.tick)
         for _ in range(_CLOSE):
             with torch.no_grad():
                 wait, last = self._waits(span, at.detach(), left.detach(), x.detach(), on, turn, rated)
@@ -67,8 +65,27 @@ class _Events:
             at, left, x, on, turn = self._settled(span, held, (at, left, x, on, turn))
         return self._without(found | gaps.endless, x, at)
 
+    def ahead(self, t: Any, h: Any, x: Any, u: Any, origin: Any, before: Any, prepare: Any) -> tuple[Any, Any, Any]:
+        """For the choice of a step: the state after what happens at its start, the time until the next event in it
+        (infinite: none), and its inputs as a function of time. `prepare(x, inputs)` makes `divide` there."""
+        span = self._span(t, h, x, u)
+        x, on, turn, rated = self._begun(span, x, origin, before)
+        span.divide = prepare(x, span.inputs)
+        wait, _ = self._waits(span, span.begin, span.length, x, on, turn, rated)
+        return x, wait.amin(-1), span.inputs
+
     def _span(self, t: Any, h: Any, x: Any, u: Any) -> Any:
         return _Span(self, t, h, x, u)
+
+    def _begun(self, span: Any, x: Any, origin: Any, before: Any) -> tuple[Any, Any, Any, Any]:
+        """The state after the events at the start of a step, with what `_start` says of it."""
+        import torch
+
+        with torch.no_grad():
+            on, pending, turn, rated = self._start(span, x.detach(), _tensor(origin, x), before)
+        if not pending.any():
+            return x, on, turn, rated
+        return *self._happen(span, span.begin, x, pending, on, turn), None
 
     def _kept(self, span: Any, *place: Any) -> Any:
         """What is known of a place, should it be gone back to."""
@@ -287,7 +304,7 @@ class _Span:
     def __init__(self, events: _Events, t: Any, h: Any, x: Any, u: Any) -> None:
         self._equations, self._first, self._last = events.equations, u[0], u[-1]
         self.begin, self.length = (_tensor(value, x).expand(x.shape[:-1]) for value in (t, h))
-
+        self.divide: Any = None
         length = self.length.detach()
         self._unit = length.where(length != 0, length + 1)
         self.tick = 1e-6 * self._unit
@@ -304,7 +321,8 @@ class _Span:
         m = _torch_arithmetic()
         grid = self._equations.grid(m, time, size)
         u = tuple(self.inputs(node) for node in grid[0])
-        return self._equations.step(m, self._equations.field(m, *given), grid, x, u)
+        solve = () if self.divide is None else (self.divide(size),)
+        return self._equations.step(m, self._equations.field(m, *given), grid, x, u, *solve)
 
 
 class _Gaps:
@@ -314,9 +332,11 @@ class _Gaps:
     the band; a ball would fall through the floor.
     """
 
-    def __init__(self, like: Any, band: float) -> None:
+    def __init__(self, like: Any, band: float, tick: Any) -> None:
         import torch
 
+        # Rates of conditions are differences over a tick, and say nothing where intervals are shorter.
+        self.near = (10 * tick).clamp(min=_NEAR * band)
         self.band, self.last = band, torch.full_like(like, torch.inf)
         self.short, self.falling, self.endless = (torch.zeros_like(like, dtype=torch.int64) for _ in range(3))
         self.endless = self.endless > 0
@@ -328,7 +348,7 @@ class _Gaps:
         found = torch.isfinite(first)
         self.short = torch.where(found & (first <= self.band), self.short + 1, 0)
         self.falling = torch.where(found & (first < 0.99 * self.last), self.falling + 1, 0)
-        near = (self.falling > _FALLING) & (first <= _NEAR * self.band)
+        near = (self.falling > _FALLING) & (first <= self.near)
         self.endless = self.endless | (self.short > _SHORT) | (found & near)
         self.last = first
         return found & ~self.endless

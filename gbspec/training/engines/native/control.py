@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.backends import TILE
 from gbspec.ir import METHODS, RosenbrockW
 from gbspec.training.engines.native.inputs import KernelInputs, Latest
 from gbspec.training.engines.native.kernel import Kernel
@@ -32,26 +31,29 @@ class Planner:
         """The path with the steps and matrices of the solution at a vector."""
         inputs = self.latest.at(problem, parameters, theta)
         tables, order = Tables(problem, path), np.argsort(-path.packed.steps, kind="stable").astype(np.int64)
-        parts = [self._tile(problem, tables, inputs, order[i : i + TILE]) for i in range(0, len(order), TILE)]
+        tile = self.kernel.library.sizes["TILE"]
+        parts = [self._tile(problem, tables, inputs, order[i : i + tile]) for i in range(0, len(order), tile)]
         return meshed(path, Steps.joined(parts)) if parts else path
 
     def _tile(self, problem: Problem, tables: Tables, inputs: KernelInputs, who: Integers) -> Steps:
-        """The steps of at most `TILE` trajectories."""
+        """The steps of a tile of trajectories, or of fewer."""
         library, control = self.kernel.library, problem.control
+        tile = library.sizes["TILE"]
         n = len(problem.model.states)
         matrices = isinstance(METHODS[problem.module.solver], RosenbrockW)
+        factored = matrices and not problem.model.events
         room = max(ROOM, self.room[0]) + 2 * int(tables.steps[who].max(initial=0))
         while True:
-            taken, cell = np.zeros(TILE, dtype=np.int64), np.zeros((TILE, room), dtype=np.int32)
-            begin, length = np.zeros((TILE, room)), np.zeros((TILE, room))
-            factors = np.empty((TILE, room, n, n)) if matrices else None
-            exchanges = np.empty((TILE, room, n), dtype=np.int32) if matrices else None
+            taken, cell = np.zeros(tile, dtype=np.int64), np.zeros((tile, room), dtype=np.int32)
+            begin, length = np.zeros((tile, room)), np.zeros((tile, room))
+            factors = np.empty((tile, room, n, n)) if matrices else None
+            exchanges = np.empty((tile, room, n), dtype=np.int32) if factored else None
             walk = library.struct(
                 "Walk",
                 count=len(who),
                 room=room,
                 most=MOST_STEPS,
-                who=np.resize(who, TILE),
+                who=np.resize(who, tile),
                 rtol=np.array([-1.0 if control is None else control.rtol]),
                 floor=np.zeros(n) if control is None else control.floor,
                 taken=taken,
@@ -70,7 +72,7 @@ class Planner:
         used[len(who) :] = False
         lane = np.nonzero(used)[0]
         return Steps(
-            np.resize(who, TILE)[lane],
+            np.resize(who, tile)[lane],
             cell[used].astype(np.int64),
             begin[used],
             length[used],

@@ -77,7 +77,7 @@ class Kernel:
         plain, searches = with_searches(model)
         self.library = Library(source_with(source(plain, precision, method), model, searches))
         self.plans = precision == "float64" and method.b_error is not None
-        self.plans = self.plans and not model.events and not model.delays
+        self.plans = self.plans and not model.delays
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""

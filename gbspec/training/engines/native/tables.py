@@ -33,7 +33,7 @@ class Tables:
             "factor": problem.factor,
             "value": problem.forcing.value,
             "weight": problem.forcing.weight,
-            "band": np.array([band_of(packed)]) if problem.model.events else None,
+            "band": np.array([band_of(problem)]) if problem.model.events else None,
             "begin": packed.start if problem.model.delays else None,
             "before": packed.inputs_before if problem.model.delays else None,
             "logarithmic": problem.scaling.log.astype(np.int32),
@@ -41,7 +41,7 @@ class Tables:
             "level": None if problem.censored is None else problem.censored.level.astype(np.float64),
             **_arrivals(problem.model, path),
             "lu": None if path.factors is None else path.factors.lu.swapaxes(0, 1),
-            "pivots": None if path.factors is None else path.factors.pivots.swapaxes(0, 1),
+            "pivots": None if path.factors is None or not path.factors.whole else path.factors.pivots.swapaxes(0, 1),
         }
         self._arrays = {name: None if a is None else np.ascontiguousarray(a) for name, a in arrays.items()}
         self._data: tuple[Library, Struct] | None = None

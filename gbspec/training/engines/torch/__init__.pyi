@@ -1,2 +1,2 @@
-from .control import planned as planned
 from .engine import TorchEngine as TorchEngine
+from .planning import planned as planned

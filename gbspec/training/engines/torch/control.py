@@ -21,7 +21,7 @@ from gbspec.training.engines.starting import initial_states
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.engines.torch.segments import cut
 from gbspec.training.engines.torch.sub_steps import Arrivals, Deliveries, solver_of
-from gbspec.training.problem import MOST_STEPS, Integers, Parameters, Path, Problem, Steps, meshed
+from gbspec.training.problem import MOST_STEPS, Integers, Parameters, Path, Problem, Steps
 
 SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 """The share of the step that the error estimate allows which is tried next, and the limits of a step's change."""
@@ -31,15 +31,11 @@ LEAST = 1e-14
 """A step shorter than this share of the time reached ends the solution."""
 
 
-def planned(problem: Problem, parameters: Parameters, theta: Array, path: Path) -> Path:
-    """The path with the steps and matrices of the solution at a vector."""
-    with torch.no_grad():
-        walk = _Walk(problem, parameters, torch.from_numpy(theta), path)
-        return meshed(path, walk.run())
-
-
-class _Walk:
+class Walk:
     """P segments on their way: the cell that each is in, the time since its start, and the next step."""
+
+    factored = True
+    """Whether matrices are kept with their factors."""
 
     def __init__(self, problem: Problem, parameters: Parameters, vector: Tensor, path: Path) -> None:
         self.problem, self.path, self.method = problem, path, METHODS[problem.module.solver]
@@ -70,7 +66,7 @@ class _Walk:
         """The accepted steps of all segments."""
         n = self.x.shape[1] if isinstance(self.method, RosenbrockW) else 0
         none = np.zeros(0, dtype=np.int64)
-        empty = np.zeros((0, n), dtype=np.int32)
+        empty = np.zeros((0, n if self.factored else 0), dtype=np.int32)
         self.steps = [Steps(none, none, np.zeros(0), np.zeros(0), np.zeros((0, n, n)), empty)]
         while self.going.any():
             rows = np.flatnonzero(self.going)
@@ -88,12 +84,8 @@ class _Walk:
         """What happens at the start of a cell: resets, then doses."""
         if not len(rows):
             return
-        forcing, doses = self.problem.forcing, self.path.doses
-        key = self.reset[rows, self.cell[rows] - self.segments.first[rows]]
-        reset = rows[key >= 0]
-        if len(reset):
-            value, weight = (torch.from_numpy(table[key[key >= 0]]) for table in (forcing.value, forcing.weight))
-            self.x[reset] = self.x[reset] - weight * (self.x[reset] - value)
+        self._replace(rows)
+        doses = self.path.doses
         if len(doses):
             k = [column[rows] for column in self.k]
             here = Deliveries.of(self.problem, self.condition[rows], k)
@@ -101,6 +93,15 @@ class _Walk:
             arriving = Arrivals(doses[:, self.cell[rows], self.segments.owner[rows]], none, none, self.x.new_zeros(0))
             self.x[rows] = here.added(self.x[rows], arriving)
         self.entering[rows] = self.known[rows] = False
+
+    def _replace(self, rows: Integers) -> None:
+        """Resets at the start of a cell."""
+        forcing = self.problem.forcing
+        key = self.reset[rows, self.cell[rows] - self.segments.first[rows]]
+        reset = rows[key >= 0]
+        if len(reset):
+            value, weight = (torch.from_numpy(table[key[key >= 0]]) for table in (forcing.value, forcing.weight))
+            self.x[reset] = self.x[reset] - weight * (self.x[reset] - value)
 
     # ---------------------------------------------------------------- one step
     def _attempt(self, rows: Integers) -> None:
@@ -116,9 +117,9 @@ class _Walk:
 
         left = whole - self.at[rows]
         self._begin(rows, rhs, t, inputs(self.at[rows]), left)
-        h = _within(self.size[rows], left)
+        h = within(self.size[rows], left)
         lu, pivots = self._factored(rows, rhs, t, inputs(self.at[rows]), h)
-        after, error = self._stages(rhs, x, t, h, lambda c: inputs(self.at[rows] + c * h), lu, pivots)
+        after, error = self._stages(rhs, x, t, h, lambda c: inputs(self.at[rows] + c * h), solver_of(lu, pivots))
         ratio = self._ratio(x, after, error)
         last = h >= left * (1 - 1e-12)
         self._decide(rows, h, ratio, last, after, (lu.numpy(), pivots.numpy()))
@@ -147,12 +148,17 @@ class _Walk:
         return lu, pivots
 
     def _stages(
-        self, rhs: Field, x: Tensor, t: Tensor, h: Array, inputs: Callable[[float], Tensor], lu: Tensor, pivots: Tensor
+        self,
+        rhs: Field,
+        x: Tensor,
+        t: Tensor,
+        h: Array,
+        inputs: Callable[[float], Tensor],
+        solve: Callable[[Tensor], Tensor],
     ) -> tuple[Tensor, Tensor]:
         """The states after steps, and their estimated errors."""
         method, size = self.method, torch.from_numpy(h)[:, None]
         ks: list[Tensor] = []
-        solve = solver_of(lu, pivots)
         for i, (row, c) in enumerate(zip(method.a, map(float, method.c), strict=True)):
             at = x + size * _sum(row, ks) if any(row) else x
             rate = rhs(t + torch.from_numpy(c * h), at, inputs(c))
@@ -211,7 +217,8 @@ class _Walk:
         owner, count = self.segments.owner[lost], len(lost)
         n = self.x.shape[1] if isinstance(self.method, RosenbrockW) else 0
         lu = np.broadcast_to(np.eye(n), (count, n, n))
-        pivots = np.broadcast_to(np.arange(1, n + 1, dtype=np.int32), (count, n))
+        exchanged = n if self.factored else 0
+        pivots = np.broadcast_to(np.arange(1, exchanged + 1, dtype=np.int32), (count, exchanged))
         self.steps.append(Steps(owner, self.cell[lost].copy(), self.at[lost], np.full(count, np.nan), lu, pivots))
 
 
@@ -226,7 +233,7 @@ def next_size(before: Array, h: Array, ratio: Array, last: Array, order: int) ->
     return np.asarray(np.where(ratio <= 1, np.maximum(h * factor, np.where(h < before, before, 0.0)), h * factor))
 
 
-def _within(size: Array, left: Array) -> Array:
+def within(size: Array, left: Array) -> Array:
     """The steps that are taken: at most what is left of the cell, in two equal parts if it is less than two steps."""
     return np.where(size >= left * (1 - 1e-9), left, np.where(size > 0.5 * left, 0.5 * left, size))
 

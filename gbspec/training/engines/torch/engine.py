@@ -13,9 +13,9 @@ from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group, taken
 from gbspec.training.engines.linearised import Jacobian
-from gbspec.training.engines.torch.control import planned
 from gbspec.training.engines.torch.delays import jacobian as delayed_jacobian
 from gbspec.training.engines.torch.jacobian import jacobian
+from gbspec.training.engines.torch.planning import planned
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.unroll import Unrolled, graph_residuals, unroll
 from gbspec.training.problem import Integers, Parameters, Path, Problem

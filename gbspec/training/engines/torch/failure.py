@@ -13,7 +13,7 @@ from gbspec.ir import without_values
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.starting import initial_or_failure
-from gbspec.training.engines.torch.control import planned
+from gbspec.training.engines.torch.planning import planned
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, cutting, sub_step
 from gbspec.training.engines.torch.unroll import unroll

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from gbspec.backends import Networks, Value
+from gbspec.ir import METHODS, RosenbrockW
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
@@ -21,8 +22,8 @@ from gbspec.training.problem import Integers, Path, Problem, band_of
 class SubStep:
     """A sub-step of each of B rows: start `t` and length `h` [B], the inputs at the method's nodes, [B, n_inputs] each,
     and the result of the generated `grid` for `t` and `h`. `arrivals`: the doses, None if there are none; `factors`:
-    the frozen matrices, factored [B, n, n], and their pivots [B, n]; `origin`: the starts of the trajectories [B], and
-    `before`: the inputs before the sub-step [B, n_inputs], in models with events."""
+    the frozen matrices [B, n, n] and their pivots [B, n], as in `Factors`; `origin`: the starts of the trajectories
+    [B], and `before`: the inputs before the sub-step [B, n_inputs], in models with events."""
 
     t: Tensor
     h: Tensor
@@ -141,10 +142,17 @@ def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field, events
     if events is not None:
         t, h = deliveries.ends(step)
         arriving = bool(problem.model.inputs) or step.arrivals is not None
-        return events.across(t, h, x, nodes, step.origin, (before, step.before) if arriving else None)
+        divide = None if step.factors is None else dividing(step.factors[0], gamma_of(problem))
+        return events.across(t, h, x, nodes, step.origin, (before, step.before) if arriving else None, divide)
     solve = () if step.factors is None else (solver_of(*step.factors),)
     out: Tensor = problem.module.equations.step(torch_arithmetic(problem.module), rhs, grid, x, nodes, *solve)
     return out
+
+
+Divide = Callable[[Tensor], Callable[[Tensor], Tensor]]
+"""The division of vectors [B, n] by the matrices of steps of some sizes [B]."""
+Prepare = Callable[[Tensor, Callable[[Tensor], Tensor]], Divide | None]
+"""The division for steps from states [B, n], with inputs at a time."""
 
 
 class Cutting(Protocol):
@@ -152,8 +160,15 @@ class Cutting(Protocol):
 
     trouble: str
 
-    def across(self, t: Tensor, h: Tensor, x: Tensor, u: Value, origin: Value, before: Value) -> Tensor:
+    def across(
+        self, t: Tensor, h: Tensor, x: Tensor, u: Value, origin: Value, before: Value, divide: Divide | None
+    ) -> Tensor:
         """The states after a step."""
+
+    def ahead(
+        self, t: Tensor, h: Tensor, x: Tensor, u: Value, origin: Value, before: Value, prepare: Prepare
+    ) -> tuple[Tensor, Tensor, Callable[[Tensor], Tensor]]:
+        """The states after events at the start, the times until the next ones, and the inputs at a time."""
 
 
 def cutting(
@@ -163,8 +178,28 @@ def cutting(
     if not problem.model.events:
         return None
     given, found = (condition, tuple(k), networks), tuple(value.detach() for value in k)
-    made: Cutting = problem.module.equations.cutting(given, (condition, found, quiet), band_of(problem.packed), False)
+    made: Cutting = problem.module.equations.cutting(given, (condition, found, quiet), band_of(problem), False)
     return made
+
+
+def gamma_of(problem: Problem) -> float:
+    """The diagonal coefficient of the problem's method, which has matrices."""
+    method = METHODS[problem.module.solver]
+    assert isinstance(method, RosenbrockW)
+    return float(method.gamma)
+
+
+def dividing(slopes: Tensor, gamma: float) -> Divide:
+    """The division by I - gamma h W for steps of sizes h, with the Jacobians W [B, n, n] as constants. Derivatives by
+    the sizes are those of what is computed."""
+    unit = torch.eye(slopes.shape[-1], dtype=slopes.dtype, device=slopes.device)
+
+    def divide(size: Tensor) -> Callable[[Tensor], Tensor]:
+        matrix = torch.nan_to_num(unit - gamma * size[:, None, None] * slopes, nan=1.0)
+        lu, pivots, _ = torch.linalg.lu_factor_ex(matrix)
+        return solver_of(lu, pivots)
+
+    return divide
 
 
 def solver_of(lu: Tensor, pivots: Tensor) -> Callable[[Tensor], Tensor]:
