@@ -274,9 +274,14 @@ population its medians.
 
 Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not
 offered yet (GB351), nor `floor`, `ceil` and `mod` of what changes continuously in their conditions (GB362); nor are
-stiff solvers, tolerances, `eigen` and `bifurcate` for such a model (GB778), its export to ONNX (GB808). Its
+`eigen` and `bifurcate` for such a model (GB778), its export to ONNX (GB808). Its
 identifiability is undecided. Second derivatives through the time of an event are not computed. Unknown functions in
 conditions, resets and times of events are fitted by the torch graph, much more slowly than by the kernel.
+
+Steps of fits end where right-hand sides switch (`if`, `max`, `min`, `abs`, `sign` of states) only where fixed explicit
+steps are taken, and not in models with delays, algebraic variables, disturbances, populations, learned noises, arrays
+or steady starts, with more than 16 switches, or where an unknown function, `floor`, `ceil` or `mod` decides:
+`--switches on` tells. Solutions that slide along a switch are solved as without.
 
 Algebraic variables that need a search (`equation` without a formula for them): events, disturbances, populations and
 learned noises are not offered together with them yet (GB361), nor export to ONNX and `compile --emit c` (GB808); with

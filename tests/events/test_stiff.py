@@ -1,4 +1,4 @@
-"""Stiff solvers and adaptive steps with events: steps end just after them, with exact derivatives and the full order."""
+"""Stiff solvers and adaptive steps with events: they end just after them, with exact derivatives and full order."""
 
 from __future__ import annotations
 
