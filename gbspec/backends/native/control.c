@@ -225,7 +225,9 @@ static void choose_steps(Control *c) {
             rate = isfinite(rate) ? (rate > 1e-300 ? rate : 1e-300) : 1e300;
             c->next[t] = 1e-2 / rate < left ? 1e-2 / rate : left;
         }
-        c->h[t] = c->next[t] >= left * (1 - 1e-9) ? left : c->next[t] > 0.5 * left ? 0.5 * left : c->next[t];
+        const double most = EVENTS && *c->walk->rtol >= 0 ? whole(c, t) / 5 : INFINITY; /* see interrupted.c */
+        const double wanted = c->next[t] < most ? c->next[t] : most;
+        c->h[t] = wanted >= left * (1 - 1e-9) ? left : wanted > 0.5 * left ? 0.5 * left : wanted;
     }
 }
 

@@ -3,6 +3,7 @@
 
 #define CASCADE 100 /* most events at one time */
 #define CLOSE 100   /* most times of events in one sub-step */
+#define TICK 1e3    /* rates are differences over at least so many bands, in steps of which nothing else would be seen */
 #define SHORT 20    /* most of them that follow each other within the band */
 #define FALLING 6   /* so many ever shorter intervals, the last one less than NEAR bands, have no end */
 #define NEAR 1e5

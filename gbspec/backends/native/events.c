@@ -18,15 +18,17 @@ static void freeze(Work *w, const double *jacobian) {
 #endif
 }
 
+static double tick_of(const Crossing *c) { return 1e-6 * c->unit > TICK * c->band ? 1e-6 * c->unit : TICK * c->band; }
+
 static void open_crossing(Work *w, int64_t s, Crossing *c) {
     const Data *d = w->data;
     const int64_t place = w->first[0] + s, at = w->who[0] * d->depth + place;
     c->begin = d->t[at];
     c->length = d->h[at];
     c->unit = c->length != 0 ? c->length : 1;
-    c->tick = 1e-6 * c->unit;
     c->origin = d->t[w->who[0] * d->depth];
     c->band = *d->band;
+    c->tick = tick_of(c);
     for (int j = 0; j < INPUTS; j++) {
         c->first[j] = d->inputs[at * NODES * INPUTS + j];
         c->last[j] = d->inputs[(at * NODES + NODES - 1) * INPUTS + j];

@@ -15,9 +15,9 @@ static Crossing *open_ahead(Control *c, double length, real *before) {
     q->begin = d->t[at] + c->begun[0];
     q->length = length;
     q->unit = length != 0 ? length : 1;
-    q->tick = 1e-6 * q->unit;
     q->origin = d->t[w->who[0] * d->depth];
     q->band = *d->band;
+    q->tick = tick_of(q);
     for (int j = 0; j < INPUTS; j++) {
         const double first = given[j], change = given[(NODES - 1) * INPUTS + j] - first;
         q->first[j] = first + c->begun[0] / whole * change;

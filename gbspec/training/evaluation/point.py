@@ -2,9 +2,8 @@
 
 Solutions run from the starts of the trajectories to their ends; measurements reset nothing. Steps are adaptive, first
 by a method of order 5, and by a stiff one if that finds no solution. The tolerance falls by a factor of ten until
-the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes. With events
-and delays steps are equal, and halved: the control of adaptive steps sees neither what happens within a step nor the
-past.
+the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes. With delays steps
+are equal, and halved: the control of adaptive steps does not see the past.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ TOLERANCES: Mapping[str, tuple[float, ...]] = {
 }
 """The relative tolerances that are tried, method by method."""
 PARTS = (16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
-"""The numbers of equal steps that are tried for the longest trajectory, for models with events or delays."""
+"""The numbers of equal steps that are tried for the longest trajectory, for models with delays."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +113,8 @@ def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluate
 
 
 def _equal_steps(model: Model) -> bool:
-    """Whether steps are equal: those that follow a tolerance know neither events nor the past."""
-    return bool(model.events or model.delays)
+    """Whether steps are equal: those that follow a tolerance do not know the past."""
+    return bool(model.delays)
 
 
 def _trials(model: Model, trajectories: Trajectories, given: Given, method: Method) -> Iterator[tuple[Problem, _Trial]]:

@@ -18,6 +18,7 @@ from gbspec.backends.module.template.vectors import _tensor
 # correction by Newton's method gives it those of the implicit function.
 
 _CASCADE = 100  # most events at one time
+_TICK = 1e3  # rates are differences over at least so many bands, in steps of which nothing else would be seen
 _CLOSE = 100  # most times of events in one step
 _SHORT = 20  # most of them that follow each other within the band
 _FALLING, _NEAR = 6, 1e5  # so many ever shorter intervals, the last within this many bands or ten ticks, have no end
@@ -307,7 +308,7 @@ class _Span:
         self.divide: Any = None
         length = self.length.detach()
         self._unit = length.where(length != 0, length + 1)
-        self.tick = 1e-6 * self._unit
+        self.tick = (1e-6 * self._unit).clamp(min=_TICK * events.band)
 
     def inputs(self, time: Any) -> Any:
         """The inputs at a time in the step."""

@@ -21,6 +21,9 @@ from gbspec.training.problem import Integers, Parameters, Path, Problem, band_of
 
 AFTER = 1e-9
 """A step ends after the event by this share of the length that was tried."""
+PARTS = 5.0
+"""Adaptive steps take at most this part of a cell, as the default fixed step does: the error estimate does not see the
+conditions of events, which are looked at only at the ends of steps and at one place between."""
 FALLING, NEAR, TICKS = 6, 1e5, 1e-5
 """After so many ever shorter intervals between events, the last one of less than so many bands or than this share of
 the step, the rest of a cell is one step: whether the events have an end is found out by the solution."""
@@ -54,7 +57,7 @@ class InterruptedWalk(Walk):
 
         x, t, left, rhs = self.x[rows], torch.from_numpy(start + at), whole - at, self.field(rows)
         self._begin(rows, rhs, t, inputs(at), left)
-        h = within(self.size[rows], left)
+        h = within(self.size[rows] if self.control is None else np.minimum(self.size[rows], whole / PARTS), left)
         jacobians = [x.new_zeros((len(rows), 0, 0))]
 
         def prepare(x: Tensor, inputs: Callable[[Tensor], Tensor]) -> Divide | None:
