@@ -1,4 +1,4 @@
-"""Steady states, eigenvalues, folds and cycles of models with algebraic variables are those of the reduced equations."""
+"""Steady states, eigenvalues, folds and Hopf points with algebraic variables are those of the reduced equations."""
 
 from __future__ import annotations
 
