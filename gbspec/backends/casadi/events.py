@@ -166,15 +166,13 @@ class _Trajectory:
 
     def until(self, place: _Place, stop: float) -> Flags:
         """Goes to the first event with a condition, or to `stop`, and records the states on the way."""
-        local = max(self.problem.rtol * LOCAL, FINEST * 10)
-        options = {"rtol": local, "atol": max(self.problem.atol * LOCAL, FINEST) * self.problem.scales}
         none = np.zeros(len(place.on), dtype=bool)
-        solver, steps = self.method(place.time, place.state, stop, **options), 0
+        solver, steps = self.method(place.time, place.state, stop), 0
         leaving = ~place.on
         while solver.status == "running":
             if steps % LOOK == LOOK - 1 and not self.stiff and self.limits(solver):
                 self.stiff = True
-                solver = self.method(solver.t, solver.y, stop, **options)
+                solver = self.method(solver.t, solver.y, stop)
             solver.step()
             steps += 1
             if solver.status == "failed" or steps > MANY or not np.isfinite(solver.y).all():
@@ -188,10 +186,12 @@ class _Trajectory:
             leaving = none
         return none
 
-    def method(self, time: float, state: Array, stop: float, rtol: float, atol: Array) -> OdeSolver:
+    def method(self, time: float, state: Array, stop: float) -> OdeSolver:
         """The method for what follows: explicit until the equations have shown that they are stiff."""
         from scipy.integrate import DOP853, Radau
 
+        rtol = max(self.problem.rtol * LOCAL, FINEST * 10)
+        atol = max(self.problem.atol * LOCAL, FINEST) * self.problem.scales
         if not self.stiff:
             return DOP853(self.rate, time, state, stop, rtol=rtol, atol=atol)
         return Radau(self.rate, time, state, stop, rtol=rtol, atol=atol, jac=self.slopes)
