@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import shutil
 import time
 from collections.abc import Iterable, Sequence
 from itertools import product
@@ -88,8 +89,11 @@ def _set(model: Model, reference: Subject, name: str, number: int, out: Path) ->
     span, step, noise = DESIGN[name]
     options = SimulateOptions(trajectories=1, span=span, dt=step, noise=noise, seed=number)
     data = simulate(reference.evaluator, reference.model, options)
+    place = out / f"{name}_{number}"
+    if place.is_dir():  # a fit that was interrupted
+        shutil.rmtree(place)
     began = time.process_time()
-    run = train(model, data, TrainOptions(), out / f"{name}_{number}")
+    run = train(model, data, TrainOptions(), place)
     seconds, found = round(time.process_time() - began, 1), []
     for constant, truth in TRUTH[name].items():
         one = run.fit.constants[constant]
