@@ -83,7 +83,8 @@ class InnovationsFit:
             for factor, shift in SCALES
         ]
         values = np.array([engine.value(each) for each in starts])
-        order = np.argsort(values, kind="stable")[:STARTS]
+        # Vectors without a solution are no starts; if none has one, the first iteration says where it ends.
+        order = np.argsort(values, kind="stable")[: max(min(STARTS, int(np.isfinite(values).sum())), 1)]
         return self._begun(starts[order[0]]) | {
             "waiting": np.array([starts[i] for i in order[1:]]).reshape(-1, len(starts[0])),
             "best": np.zeros(0),

@@ -5,13 +5,14 @@ Of a normal x with mean m and covariance P, which the drift f and the disturbanc
     dm/dt = E f(x),    dP/dt = F P + P F' + E S S',    F P = E f(x) (x - m)'
 
 (Sarkka 2007, IEEE Trans. Autom. Control 52, 1631; with F = df/dx at m it would be the extended filter). A step of the
-model's Runge-Kutta method is taken for m, P and the transition dA/dt = F A, the expectations at every Runge-Kutta stage
-by points of the distribution there. The covariance at the end is
+model's Runge-Kutta method is taken for m and the transition dA/dt = F A, the expectations at every Runge-Kutta stage by
+points of the distribution there, with P = A P A' + (A + 1) t S S' (A + 1)' / 4 after the time t. That at the end is
 
     P' = A P A' + Q,    Q = integral of A(h, s) S S' A(h, s)' ds,
 
 by Simpson's rule, with A(h, h/2) from the cubic through the values and slopes of A(h, s) at both ends (A and -A F at
-the start, 1 and -F at the end). It is a sum of squares, and so positive whatever the step; with `rk4` its order is 4.
+the start, 1 and -F at the end). These are sums of squares, and so positive whatever the step. With `rk4` the order is 4
+where f is linear, and at least 3 where the disturbances do not depend on the state.
 """
 
 from __future__ import annotations
@@ -71,14 +72,15 @@ class Points:
 
         method, nodes = self.method, self.method.nodes
         found: list[Parts] = []
-        slopes: list[tuple[Varied, Varied, Varied]] = []
+        rates: list[tuple[Varied, Varied]] = []
         for row, c in zip(method.a[: method.advancing], method.c, strict=False):
-            m, p, way = _ahead((mean, cov, None), row, slopes, h)
-            found.append(stage(nodes.index(c), m, p))
-            slopes.append(_rates(*found[-1], p, way))
-        m, p, way = _ahead((mean, cov, None), method.b[: method.advancing], slopes, h)
-        a = way + one
-        last = found[-1] if method.c[len(found) - 1] == 1 else stage(len(nodes) - 1, m, p)
+            m, a = _ahead(mean, row, rates, h)
+            found.append(stage(nodes.index(c), m, _between(a, cov, found[0][2], float(c) * h) if found else cov))
+            rates.append((found[-1][0], found[-1][1] @ a))
+        m, a = _ahead(mean, method.b[: method.advancing], rates, h)
+        last = found[-1]
+        if method.c[len(found) - 1] != 1:
+            last = stage(len(nodes) - 1, m, _between(a, cov, found[0][2], h))
         halves = [each for each, c in zip(found, method.c, strict=False) if c == HALF]
         middle_square = halves[-1][2] if halves else (found[0][2] + last[2]).times(0.5)
         middle = (a + one).times(0.5) + (last[1] - a @ found[0][1]).times(0.125 * h)
@@ -94,6 +96,7 @@ class Points:
         both, table = len(self.scale) * (len(self.scale) + 1), np.concatenate([_flat(m), _flat(end)], axis=1)
         return Flow(*tables, table[..., :both], table[..., both:])
 
+    @quiet
     def read(self, at: At, owner: Integers, before: Moment, data: Arrays, values: Values, d_r: Array | None) -> Reading:
         """The channels of rows of the trajectories `owner` [b] with these moments; data as for `Local.observation`,
         `values` the measurements with the variances of their noises, of which `d_r` are the derivatives if these are
@@ -143,26 +146,22 @@ class Points:
         return cloud, cloud.of_values(found.parts, found.by_state, columns)
 
 
-def _rates(drift: Varied, slope: Varied, square: Varied, p: Varied, way: Varied | None) -> tuple[Varied, ...]:
-    """The rates of mean, covariance and transition (less one) in a Runge-Kutta stage."""
-    moved = slope @ p
-    return drift, moved + moved.transposed + square, slope if way is None else slope + slope @ way
-
-
 def _ahead(
-    start: tuple[Varied, Varied, None], row: Sequence[Fraction], rates: Sequence[tuple[Varied, ...]], h: Array
-) -> tuple[Varied, Varied, Varied | None]:
-    """Mean, covariance and transition (less one) after a step with these weights of the rates."""
-    out: list[Varied | None] = list(start)
-    for weight, each in zip(row, rates, strict=True):
+    start: Varied, row: Sequence[Fraction], rates: Sequence[tuple[Varied, Varied]], h: Array
+) -> tuple[Varied, Varied]:
+    """Mean and transition after a step with these weights of their rates."""
+    count, n = start.value.shape[:2]
+    mean, way = start, Varied(np.broadcast_to(np.eye(n), (count, n, n)))
+    for weight, (of_mean, of_way) in zip(row, rates, strict=True):
         if weight:
-            for place, rate in enumerate(each):
-                moved, now = rate.times(float(weight) * h), out[place]
-                out[place] = moved if now is None else now + moved
-    mean, cov, way = out
-    assert mean is not None
-    assert cov is not None
-    return mean, cov, way
+            mean, way = mean + of_mean.times(float(weight) * h), way + of_way.times(float(weight) * h)
+    return mean, way
+
+
+def _between(way: Varied, cov: Varied, square: Varied, time: Array) -> Varied:
+    """The covariance after a part of a sub-step, of order 3 in its length, and positive."""
+    middle = (way + np.eye(cov.value.shape[1])).times(0.5)
+    return way @ cov @ way.transposed + middle @ square.times(time) @ middle.transposed
 
 
 def _flat(table: Varied) -> Array:
