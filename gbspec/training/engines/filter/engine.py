@@ -19,7 +19,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.ir import METHODS, Explicit, linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.compiled import Advance, advance
-from gbspec.training.engines.filter.coordinates import Coordinates, relative_states
+from gbspec.training.engines.filter.coordinates import LEAST, Coordinates, relative_states
 from gbspec.training.engines.filter.exact import Exact
 from gbspec.training.engines.filter.flows import Points
 from gbspec.training.engines.filter.forward import Forward, covers
@@ -58,12 +58,14 @@ class FilterEngine:
     @classmethod
     def of(cls, problem: Problem, parameters: Parameters) -> FilterEngine:
         """The engine with the default variances: those of states whose starts are neither given nor learned are
-        `SPREAD` times their typical size, squared, and those of logarithms at least `SPREAD` squared."""
+        `SPREAD` times their typical size, squared; those of logarithms are of the lognormal distribution with this
+        standard deviation, and at least `SPREAD` squared."""
         kinds = np.array([state.initial.kind for state in problem.model.states])
         free = np.where(kinds == "learned", 1.0, 0.0) * np.ones_like(parameters.start_free)
-        unknown = np.where(kinds == "measured", 1.0, 0.0)
-        own = np.where(relative_states(problem.model), np.abs(parameters.start_value), 0.0)
-        variance = unknown * (SPREAD * np.maximum(parameters.start_scale, own)) ** 2 * np.ones_like(free)
+        unknown, value = np.where(kinds == "measured", 1.0, 0.0), np.abs(parameters.start_value)
+        size = SPREAD * parameters.start_scale * np.ones_like(value)
+        relative = np.maximum(np.sqrt(np.log1p((size / np.maximum(value, LEAST)) ** 2)), SPREAD)
+        variance = unknown * np.where(relative_states(problem.model), relative * value, size) ** 2
         return cls(problem, replace(parameters, start_free=free), variance)
 
     # ---------------------------------------------------------------- what does not depend on the vector
