@@ -50,7 +50,7 @@ def test_quadratic_functions_have_their_exact_moments_and_linear_ones_no_remaind
 
 
 def test_the_mean_of_a_nonlinear_drift_is_not_the_drift_of_the_mean(tmp_path: Path) -> None:
-    # dm/dt = 1 - a (m^2 + P) and dP/dt = -4 a m P + s^2 are the moments of a normal x; with steps h the error is h^4.
+    # dm/dt = 1 - a (m^2 + P) and dP/dt = -4 a m P + s^2 are the moments of a normal x; with steps h the error is h^3.
     def slopes(t: float, z: Array) -> list[float]:
         return [1 - 0.4 * (z[0] ** 2 + z[1]), -1.6 * z[0] * z[1] + 0.25]
 
