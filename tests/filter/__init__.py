@@ -1,1 +1,1 @@
-"""The extended Kalman filter: moments, likelihood, fits."""
+"""The Kalman filter: moments, likelihood, fits."""

@@ -10,6 +10,8 @@ from scipy.linalg import expm
 
 from gbspec.arrays import Array
 from gbspec.training.engines import FilterEngine
+from gbspec.training.engines.filter.layout import At
+from gbspec.training.engines.filter.recursion import Moment
 from gbspec.training.engines.filter.relinearised import iterated
 from gbspec.training.engines.filter.smoother import smoothed
 from tests.filter.conftest import BENT, LINEAR, WITH_NETWORK, engine_of, table
@@ -144,9 +146,8 @@ def test_smoothed_means_maximise_the_joint_density(tmp_path: Path) -> None:
         rows.append(root @ line)
         right.append(root @ value)
 
-    from gbspec.training.engines.filter.layout import At
-
-    flows = engine.flows(At.of(engine.layout, vector[:-1]), np.arange(legs), np.zeros((legs, n)))
+    zero = Moment(np.zeros((legs, n)), np.zeros((legs, n, n)))
+    flows = engine.flows(At.of(engine.layout, vector[:-1]), np.arange(legs), zero)
     add({0: np.eye(n)}, engine.parameters.start_value[0], np.diag(engine.start_variance[0]))
     c = np.array([[1.0, 0.0], [-0.2, 1.0]])
     noise = engine.noise.variances(vector[-1:])
@@ -167,8 +168,8 @@ def test_the_iterated_smoother_rests_where_its_linearisation_is(tmp_path: Path) 
     seen = engine.problem.valued.copy()
     seen[3:8] = False
     found = engine.filtered(vector, seen)
-    mean, _, start, _ = iterated(engine, vector, found)
-    again = smoothed(engine.linearised(vector, (start, mean), seen), engine.legs)[0]
+    mean, cov, start, start_cov = iterated(engine, vector, found)
+    again = smoothed(engine.linearised(vector, (start, start_cov, mean, cov), seen), engine.legs)[0]
     assert np.abs(again - mean).max() < 1e-3 * engine.scale.max()
     assert np.abs(mean - smoothed(found, engine.legs)[0]).max() > 1e-3
 

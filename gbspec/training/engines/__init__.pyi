@@ -11,6 +11,7 @@ from .engine import Moments as Moments
 from .engine import taken as taken
 from .filter import Filtered as Filtered
 from .filter import FilterEngine as FilterEngine
+from .filter import Guess as Guess
 from .filter import Whiteness as Whiteness
 from .filter import whiteness as whiteness
 from .linearised import Linearised as Linearised

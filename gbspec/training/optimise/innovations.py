@@ -16,7 +16,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Filtered, FilterEngine
+from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.levenberg_marquardt import Certainty
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.stage import Outcome, State, scalar
@@ -32,6 +32,8 @@ SCALES = ((1.0, 0.0), (0.1, -2.0))
 """Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
 STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
+MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov")
+"""The filter's moments in the state, from which the next search of them begins."""
 FLAT = 1e-8
 """Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
 
@@ -81,7 +83,8 @@ class InnovationsFit:
             for factor, shift in SCALES
         ]
         values = np.array([engine.value(each) for each in starts])
-        order = np.argsort(values, kind="stable")[:STARTS]
+        # Vectors without a solution are no starts; if none has one, the first iteration says where it ends.
+        order = np.argsort(values, kind="stable")[: max(min(STARTS, int(np.isfinite(values).sum())), 1)]
         return self._begun(starts[order[0]]) | {
             "waiting": np.array([starts[i] for i in order[1:]]).reshape(-1, len(starts[0])),
             "best": np.zeros(0),
@@ -100,8 +103,7 @@ class InnovationsFit:
             "damping": np.array(1e-2),
             "ridge": np.array(ridge if len(weights) else 0.0),
             "small": np.array(0.0),
-            "start_mean": np.zeros((0, 0)),
-            "end_mean": np.zeros((0, 0)),
+            **dict.fromkeys(MOMENTS, np.zeros((0, 0))),
         }
 
     def _scaled(self, theta: Array, factor: float) -> Array:
@@ -142,7 +144,7 @@ class InnovationsFit:
         """One iteration: the information, and as many dampings as are needed for a higher likelihood."""
         engine, vector = self.engine, np.concatenate([state["theta"], state["log_sd"]])
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
-        system = self._system(vector, ridge, (state["start_mean"], state["end_mean"]))
+        system = self._system(vector, ridge, _moments(state))
         if not system.found.finite:
             raise self._failure(vector, system.found)
         count = max(int(engine.problem.seen.sum()), 1)
@@ -150,7 +152,7 @@ class InnovationsFit:
             move = self._move(system, damping, vector)
             predicted = -float(system.gradient @ move + 0.5 * move @ system.matrix @ move)
             trial = vector + move
-            found = engine.filtered(trial, guess=(system.found.start_mean, system.found.end_mean))
+            found = engine.filtered(trial, guess=system.found.guess)
             value = self._value(trial, ridge, found)
             if value < system.value:
                 break
@@ -170,8 +172,7 @@ class InnovationsFit:
             "damping": np.array(float(np.clip(damping * (0.2 if gain > 0.5 else 2.0), 1e-9, 1e6))),
             "ridge": np.array(ridge),
             "small": np.array(small),
-            "start_mean": found.start_mean,
-            "end_mean": found.end_mean,
+            **dict(zip(MOMENTS, found.guess, strict=True)),
         }
         return Outcome(new, found.value / count, small >= 2)
 
@@ -211,9 +212,9 @@ class InnovationsFit:
             return float("inf")
         return found.value + 0.5 * ridge * float(weights @ weights) + self._priors().penalty(theta)
 
-    def _system(self, vector: Array, ridge: float, guess: tuple[Array, Array] | None = None) -> _System:
+    def _system(self, vector: Array, ridge: float, guess: Guess | None = None) -> _System:
         engine = self.engine
-        found = engine.filtered(vector, guess=guess if guess is not None and len(guess[0]) else None)
+        found = engine.filtered(vector, guess=guess)
         information = engine.information(vector, found)
         theta, _ = engine.layout.split(vector)
         gradient, matrix = information.gradient.copy(), information.matrix.copy()
@@ -287,6 +288,12 @@ class InnovationsFit:
         freedom = float(np.sum(known & (engine.layout.free > 0)))
         deviations = np.where(known[places], np.abs(slopes) * sd[places], np.nan)
         return Certainty(deviations, block / np.outer(roots, roots), freedom, own)
+
+
+def _moments(state: State) -> Guess | None:
+    """The filter's moments at the vector of a state, if they are known."""
+    a, b, c, d = (state[name] for name in MOMENTS)
+    return (a, b, c, d) if len(a) else None
 
 
 def _inverse(matrix: Array, free: Array) -> Array:

@@ -30,7 +30,7 @@ from gbspec.training.runs.summary import MemberResult
 
 UNKNOWN = 3.0
 """A noise whose logarithm has a larger standard deviation has gone to zero, and has no interval."""
-OBJECTIVE = "likelihood of innovations (extended Kalman filter)"
+OBJECTIVE = "likelihood of innovations (Kalman filter)"
 
 
 def summarise(

@@ -96,7 +96,7 @@ class FilteredRun:
 
         theta, log_sd = self.engine.layout.split(vector)
         at, every = filter.At.of(self.engine.layout, theta), np.arange(len(z), dtype=np.int64)
-        reading = self.engine.readings(at, log_sd, every, z)
+        reading = self.engine.readings(at, log_sd, every, filter.Moment(z, p))
         own = self.engine.noise.variances(log_sd)
         seen = self.engine.problem.valued
         # Cells without a measurement have no variance of their own: the usual one of the channel stands for it.

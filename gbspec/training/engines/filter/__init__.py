@@ -1,4 +1,4 @@
-"""Extended Kalman filter: the likelihood of innovations of models with random disturbances."""
+"""Kalman filter: the likelihood of innovations of models with random disturbances."""
 
 import lazy_loader
 

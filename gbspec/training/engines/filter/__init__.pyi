@@ -3,9 +3,11 @@ from .ahead import steps_ahead as steps_ahead
 from .ahead import with_smoothed_starts as with_smoothed_starts
 from .engine import FilterEngine as FilterEngine
 from .layout import At as At
+from .recursion import Moment as Moment
 from .relinearised import iterated as iterated
 from .residual_tests import Whiteness as Whiteness
 from .residual_tests import whiteness as whiteness
 from .result import Filtered as Filtered
+from .result import Guess as Guess
 from .result import Information as Information
 from .smoother import smoothed as smoothed

@@ -30,12 +30,12 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
             return out
         leg, passed = leg[going], passed[going]
         moment = Moment(moment.m[going], moment.p[going])
-        moment = predicted(moment, engine.flows(at, leg, moment.m))
+        moment = predicted(moment, engine.flows(at, leg, moment))
         rows = legs.row[leg]
         passed = passed + (rows >= 0)
         there = np.flatnonzero((passed == steps) & (rows >= 0))
         if len(there):
-            reading = engine.readings(at, log_sd, rows[there], moment.m[there])
+            reading = engine.readings(at, log_sd, rows[there], moment.of(there))
             out[rows[there]] = np.where(engine.noise.log, np.exp(np.where(engine.noise.log, reading.y, 0.0)), reading.y)
         leg = np.where((passed == steps) & (rows >= 0), -1, following[leg])
 

@@ -20,8 +20,8 @@ Advance = Callable[[Moment, Integers, Flow, Reading, Integers, Kept | None], Inn
 SIZES = ("legs", "n", "channels", "width")
 POINTERS = (
     *("owner", "place", "m", "p", "dm", "dp"),
-    *("at", "mean", "a", "q", "a_state", "q_state", "d_mean", "d_a", "d_q"),
-    *("read_at", "y", "c", "value", "r", "c_state", "d_y", "d_c", "d_r", "seen"),
+    *("at", "mean", "a", "q", "by_moment", "by_rest", "d_mean", "d_a", "d_q"),
+    *("read_at", "y", "c", "value", "r", "read_by_moment", "read_by_rest", "d_y", "d_c", "d_r", "seen"),
     *("before_m", "before_p", "end_m", "end_p", "post_m", "post_p"),
     *("error", "variance", "predicted", "d_error", "d_variance", "work"),
 )
@@ -52,12 +52,14 @@ def advance() -> Advance:
         written = [table for each in (*moments, out) for table in vars(each).values()]
         tables: dict[str, np.ndarray | None] = {"owner": owner, "place": place}
         tables |= dict(zip(("m", "p", "dm", "dp"), vars(moment).values(), strict=True))
-        tables |= vars(flow) | {"read_at": reading.at} | {k: v for k, v in vars(reading).items() if k != "at"}
+        tables |= (
+            vars(reading) | {f"read_{k}": getattr(reading, k) for k in ("at", "by_moment", "by_rest")} | vars(flow)
+        )
         if kept is not None:
             for name in ("before", "end", "post"):
                 tables |= {f"{name}_m": getattr(kept, name).m, f"{name}_p": getattr(kept, name).p}
         tables |= {"error": out.error, "variance": out.variance, "predicted": out.mean}
-        tables |= {"d_error": out.d_error, "d_variance": out.d_variance, "work": _work(n, width)}
+        tables |= {"d_error": out.d_error, "d_variance": out.d_variance, "work": _work(n, width, channels)}
         # What is read may be views in another order; what is written has been made here or by the caller.
         held = {k: v if v is None or _is(v, written) else np.ascontiguousarray(v) for k, v in tables.items()}
         addresses = {k: None if v is None else v.ctypes.data for k, v in held.items()}
@@ -67,8 +69,8 @@ def advance() -> Advance:
     return advanced
 
 
-def _work(n: int, width: int) -> Array:
-    return np.empty(8 * (n * n + n) * (width + 1))
+def _work(n: int, width: int, channels: int) -> Array:
+    return np.empty((10 * (n * n + n) + channels * (n + 2)) * (width + 1))
 
 
 def _is(table: np.ndarray, others: list[np.ndarray | None]) -> bool:

@@ -1,56 +1,52 @@
 """The filter engine: moments, the likelihood of innovations, its exact gradient and its expected information.
 
-Flows of legs depend on the mean at their starts, which depends on all earlier ones. So the means are guessed, all flows
-are linearised at the guess at once, the filter runs through these linear flows, and its means are the next guess: a
-Newton iteration over the whole path, whose fixed point is the extended Kalman filter itself. After each pass at least
-one more row is exact, whatever the model, and a filter forgets, so that a few passes suffice; linear models need one.
+Flows of legs depend on the moments at their starts, which depend on all earlier ones. So the moments are guessed, all
+flows are computed at the guess at once, the filter runs through these flows, and its moments are the next guess: for
+the means a Newton iteration over the whole path, for the covariances one of substitution, whose fixed point is the
+filter itself. After each pass at least one more leg is exact, whatever the model, and a filter forgets, so that few
+passes suffice; linear models need one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import linear_in_states
+from gbspec.ir import METHODS, Explicit, linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.compiled import Advance, advance
-from gbspec.training.engines.filter.composed import whole_legs
-from gbspec.training.engines.filter.coordinates import Coordinates, relative_states
+from gbspec.training.engines.filter.coordinates import LEAST, Coordinates, relative_states
 from gbspec.training.engines.filter.exact import Exact
+from gbspec.training.engines.filter.flows import Points
 from gbspec.training.engines.filter.forward import Forward, covers
 from gbspec.training.engines.filter.functions import Functions
 from gbspec.training.engines.filter.layout import At, Layout
-from gbspec.training.engines.filter.legs import Legs, buckets, legs_of, steps_of
+from gbspec.training.engines.filter.legs import Legs, legs_of, steps_of
 from gbspec.training.engines.filter.local import Local
 from gbspec.training.engines.filter.noise import Noise, noise_of
-from gbspec.training.engines.filter.recursion import Flow, Innovations, Kept, Moment, Reading
-from gbspec.training.engines.filter.result import Filtered, Information, Sums
+from gbspec.training.engines.filter.recursion import Flow, Innovations, Moment, Reading, put, standing
+from gbspec.training.engines.filter.result import Filtered, Guess, Information, Sums
+from gbspec.training.engines.filter.search import Search
 from gbspec.training.engines.filter.smoother import smoothed
 from gbspec.training.problem import Integers, Parameters, Path, Problem
 
 SPREAD = 1.0
 """The standard deviation of an unknown start, in typical sizes of its state (of its data, or of its range)."""
-TOLERANCE = 1e-11
-"""The guess of the means is exact when it moves by less, in typical sizes of the states."""
-PASSES, WINDOW = 25, 16
-"""After this many passes over all rows the rest is done in windows of this many places, which cannot take longer than
-one place after the other."""
+FIRST = 0.1
+"""The first guess of standard deviations, in typical sizes of the states."""
 NOTHING = 1e-7
 """Information of an entry below which the data say nothing of it."""
 CHUNK = 192 * 1024**2
 """Approximate size in bytes of the derivatives that are kept at a time."""
 
-Means = tuple[Array, Array]
-"""The means [B, n] at the starts and ends of legs."""
-
 
 @dataclass(frozen=True)
 class FilterEngine:
-    """The extended Kalman filter of a problem.
+    """The Kalman filter of a problem: exact where the model is linear, else with sigma points.
 
     `start_variance` [N, n]: the variance of each initial state, which is zero where the start is known or learned.
     """
@@ -62,12 +58,14 @@ class FilterEngine:
     @classmethod
     def of(cls, problem: Problem, parameters: Parameters) -> FilterEngine:
         """The engine with the default variances: those of states whose starts are neither given nor learned are
-        `SPREAD` times their typical size, squared, and those of logarithms at least `SPREAD` squared."""
+        `SPREAD` times their typical size, squared; those of logarithms are of the lognormal distribution with this
+        standard deviation, and at least `SPREAD` squared."""
         kinds = np.array([state.initial.kind for state in problem.model.states])
         free = np.where(kinds == "learned", 1.0, 0.0) * np.ones_like(parameters.start_free)
-        unknown = np.where(kinds == "measured", 1.0, 0.0)
-        own = np.where(relative_states(problem.model), np.abs(parameters.start_value), 0.0)
-        variance = unknown * (SPREAD * np.maximum(parameters.start_scale, own)) ** 2 * np.ones_like(free)
+        unknown, value = np.where(kinds == "measured", 1.0, 0.0), np.abs(parameters.start_value)
+        size = SPREAD * parameters.start_scale * np.ones_like(value)
+        relative = np.maximum(np.sqrt(np.log1p((size / np.maximum(value, LEAST)) ** 2)), SPREAD)
+        variance = unknown * np.where(relative_states(problem.model), relative * value, size) ** 2
         return cls(problem, replace(parameters, start_free=free), variance)
 
     # ---------------------------------------------------------------- what does not depend on the vector
@@ -100,6 +98,13 @@ class FilterEngine:
         return None if linear is None else Exact(self.functions, linear)
 
     @cached_property
+    def points(self) -> Points:
+        """The moments of a model that is not linear."""
+        method = METHODS[self.problem.module.solver]
+        assert isinstance(method, Explicit)
+        return Points(self.functions, self.scale, method)
+
+    @cached_property
     def advance(self) -> Advance:
         """The recursion over legs."""
         return advance()
@@ -111,8 +116,8 @@ class FilterEngine:
 
     @cached_property
     def legs(self) -> Legs:
-        """The legs of the trajectories."""
-        return legs_of(self.problem, self.exact is not None)
+        """The legs of the trajectories, one for each sub-step."""
+        return legs_of(self.problem)
 
     @cached_property
     def scale(self) -> Array:
@@ -124,49 +129,39 @@ class FilterEngine:
         return Paths(self.problem).at(self.parameters, np.zeros(self.parameters.size))
 
     # ---------------------------------------------------------------- flows and readings
-    def flows(self, at: At, index: Integers, z: Array, derivatives: bool = False) -> Flow:
-        """The flows of the legs `index` [b], linearised at their coordinates `z` [b, n]."""
-        legs, n, width = self.legs, z.shape[1], self.layout.width
-        mean, a, q = z.copy(), np.tile(np.eye(n), (len(z), 1, 1)), np.zeros((len(z), n, n))
-        d_mean, d_a, d_q = (np.zeros((len(z), *shape, width if derivatives else 0)) for shape in ((n,), (n, n), (n, n)))
-        moving = derivatives and self.exact is None
-        a_state, q_state = (np.zeros((len(z) if moving else 0, n, n, n)) for _ in range(2))
-        for depth, mine in buckets(legs.count[index]):
-            if not depth:
-                continue
-            chosen = index[mine]
-            steps = steps_of(self._path, legs.owner[chosen], legs.first[chosen], legs.count[chosen], depth)
-            data = (steps.t, steps.h, steps.inputs, steps.doses, steps.condition)
-            here, k = z[mine], at.k[legs.owner[chosen]]
-            if self.exact is not None:
-                found = self.exact.evaluate(here, k, at.w, data, derivatives)
-                mean[mine], a[mine], q[mine] = found.parts
-                if derivatives:
-                    d_mean[mine], d_a[mine], d_q[mine] = at.columns(found, legs.owner[chosen])
-                continue
-            (mean[mine], a[mine], q[mine]), starts = self.functions.moved(here, k, at.w, data)
-            if derivatives:
-                leg = whole_legs(self.functions, at, legs.owner[chosen], starts, data)
-                d_mean[mine], d_a[mine], d_q[mine], a_state[mine], q_state[mine] = leg
-        if not derivatives:
-            return Flow(z, mean, a, q)
-        return Flow(z, mean, a, q, a_state if moving else None, q_state if moving else None, d_mean, d_a, d_q)
+    def flows(self, at: At, index: Integers, before: Moment, derivatives: bool = False) -> Flow:
+        """The flows of the legs `index` [b], at the means [b, n] and covariances at their starts."""
+        legs, width = self.legs, self.layout.width if derivatives else 0
+        flow = standing(before, width if derivatives else None, self.exact is not None)
+        mine = np.flatnonzero(legs.count[index] > 0)
+        if not len(mine):
+            return flow
+        owner, here = legs.owner[index[mine]], before.of(mine)
+        steps = steps_of(self._path, owner, legs.first[index[mine]])
+        data = (steps.t, steps.h, steps.inputs, steps.doses, steps.condition)
+        if self.exact is None:
+            return put(flow, mine, self.points.stepped(at, owner, here, data, derivatives))
+        mean, a, q = (found := self.exact.evaluate(here.m, at.k[owner], at.w, data, derivatives)).parts
+        slopes = at.columns(found, owner) if derivatives else [None] * 3
+        return put(flow, mine, Flow(here.m, mean, a, q, d_mean=slopes[0], d_a=slopes[1], d_q=slopes[2]))
 
-    def readings(self, at: At, log_sd: Array, rows: Integers, z: Array, derivatives: bool = False) -> Reading:
-        """The measurements of the rows [b], linearised at the coordinates `z` [b, n]."""
+    def readings(self, at: At, log_sd: Array, rows: Integers, before: Moment, derivatives: bool = False) -> Reading:
+        """The measurements of the rows [b], at the means [b, n] and covariances there."""
         packed, noise = self.problem.packed, self.noise
         owner = packed.row_trajectory[rows]
         data = packed.row_time[rows], packed.row_inputs[rows], packed.condition[owner]
-        variance = noise.variances(log_sd)[rows]
-        found = self.functions.observation(z, at.k[owner], at.w, data, derivatives)
+        all_r = noise.variances(log_sd)
+        values = noise.value[rows], all_r[rows], self.problem.valued[rows]
+        d_r = None
+        if derivatives:
+            d_r = np.zeros((*values[1].shape, self.layout.width))
+            d_r[..., self.parameters.n_shared : self.layout.shared] = noise.slopes(all_r)[rows]
+        if not self.affine:
+            return self.points.read(at, owner, before, data, values, d_r)
+        found = self.functions.tangent(before.m, at.k[owner], at.w, data, derivatives)
         y, c = found.parts
-        plain = Reading(z, y, c, noise.value[rows], variance, self.problem.valued[rows])
-        if not derivatives:
-            return plain
-        d_y, d_c = at.columns(found, owner)
-        d_r = np.zeros((*variance.shape, self.layout.width))
-        d_r[..., self.parameters.n_shared : self.layout.shared] = noise.slopes(noise.variances(log_sd))[rows]
-        return replace(plain, c_state=found.by_state[1], d_y=d_y, d_c=d_c, d_r=d_r)
+        d_y, d_c = at.columns(found, owner) if derivatives else (None, None)
+        return Reading(before.m, y, c, *values, d_y=d_y, d_c=d_c, d_r=d_r)
 
     def start(self, at: At, derivatives: bool = False) -> Moment:
         """The moments at the starts of the trajectories."""
@@ -184,16 +179,43 @@ class FilterEngine:
         return Moment(m, p, dm, dp)
 
     # ---------------------------------------------------------------- the filter
-    def filtered(self, vector: Array, seen: Mask | None = None, guess: Means | None = None) -> Filtered:
-        """The filter at a vector; with `seen` [R, C] only these measurements update the moments. `guess` are the means
-        at the starts and ends of legs for a vector nearby, which saves time."""
-        theta, log_sd = self.layout.split(vector)
-        return _Search(self, At.of(self.layout, theta), log_sd, seen, guess).run()
+    def filtered(self, vector: Array, seen: Mask | None = None, guess: Guess | None = None) -> Filtered:
+        """The filter at a vector; with `seen` [R, C] only these measurements update the moments. `guess` are the
+        moments for a vector nearby, which saves time."""
+        search = self._search(vector, seen, guess)
+        search.run(once=self.affine)
+        return search.found
 
-    def linearised(self, vector: Array, means: Means, seen: Mask) -> Filtered:
-        """The filter of the model that is linear around given means at the starts and ends of legs."""
+    def linearised(self, vector: Array, moments: Guess, seen: Mask) -> Filtered:
+        """The filter of the linear model that fits this one best at given moments."""
+        search = self._search(vector, seen, moments)
+        search.run(once=True)
+        return search.found
+
+    def _search(self, vector: Array, seen: Mask | None, guess: Guess | None) -> Search:
+        """The search of the moments at a vector, from a guess."""
         theta, log_sd = self.layout.split(vector)
-        return _Search(self, At.of(self.layout, theta), log_sd, seen, means).once()
+        at, start = At.of(self.layout, theta), self.start(At.of(self.layout, theta))
+        rows, channels = self.noise.value.shape
+        found = Filtered.empty(len(self.legs.owner), len(self.scale), rows, channels, self.noise.log)
+        if guess is not None and all(np.isfinite(table).all() for table in guess):
+            found.start_mean[:], found.start_cov[:], found.end_mean[:], found.end_cov[:] = guess
+        else:
+            begin = np.where(np.isfinite(start.m), start.m, 0.0)[self.legs.owner]
+            found.start_mean[:] = np.where(np.isfinite(self._first), self._first, begin)
+            found.end_mean[:] = found.start_mean
+            found.start_cov[:] = found.end_cov[:] = np.diag((FIRST * self.scale) ** 2)
+        used = self.problem.valued if seen is None else seen
+
+        def readings(rows: Integers, before: Moment) -> Reading:
+            return replace(self.readings(at, log_sd, rows, before), seen=used[rows])
+
+        return Search(self.legs, self.scale, partial(self.flows, at), readings, self.advance, start, used, found)
+
+    @cached_property
+    def _first(self) -> Array:
+        """A first guess of the coordinates at the start of each leg."""
+        return self.coordinates.of(_first_states(self))
 
     def value(self, vector: Array) -> float:
         """The negative log likelihood; infinite where the solution is not finite."""
@@ -210,9 +232,10 @@ class FilterEngine:
         moment = self.start(at, True)
         for chunk in self._chunks():
             index = np.arange(chunk.start, chunk.stop)
-            flows = self.flows(at, index, found.start_mean[index], True)
-            rows, place = _rows_of(legs, index)
-            readings = self.readings(at, log_sd, rows, found.end_mean[index[place >= 0]], True)
+            flows = self.flows(at, index, Moment(found.start_mean[index], found.start_cov[index]), True)
+            rows, place = legs.rows_of(index)
+            ends = index[place >= 0]
+            readings = self.readings(at, log_sd, rows, Moment(found.end_mean[ends], found.end_cov[ends]), True)
             readings = replace(readings, seen=found.seen[rows])
             innovations = self.advance(moment, legs.owner[index], flows, readings, place, None)
             sums.add(self.problem.packed.row_trajectory[rows], innovations, readings.seen)
@@ -276,7 +299,10 @@ class FilterEngine:
         """Legs of successive places whose derivatives fit into memory."""
         n, legs = len(self.problem.model.states), self.legs
         channels = len(self.problem.model.channels)
-        each = 8 * self.layout.width * (n + 2 * n * n + channels * (n + 2))
+        both = n + n * n
+        # Derivatives of the flows and readings, and of the values at the points from which they are computed.
+        columns = self.layout.width + (0 if self.exact is not None else both)
+        each = 8 * columns * (2 * both + channels * (n + 2) + (0 if self.exact is not None else 8 * n * (2 * n + 1)))
         begin = 0
         while begin < legs.places:
             end = begin + 1
@@ -284,97 +310,6 @@ class FilterEngine:
                 end += 1
             yield slice(int(legs.begins[begin]), int(legs.begins[end]))
             begin = end
-
-
-class _Search:
-    """The search of the means at one vector."""
-
-    def __init__(self, engine: FilterEngine, at: At, log_sd: Array, seen: Mask | None, near: Means | None) -> None:
-        self.engine, self.at, self.log_sd = engine, at, log_sd
-        self.legs, problem = engine.legs, engine.problem
-        n, count = len(problem.model.states), len(engine.legs.owner)
-        self.seen = problem.valued if seen is None else seen
-        self.start = engine.start(at)
-        self.first = engine.coordinates.of(_first_states(engine))
-        self.found = Filtered.empty(count, n, problem.packed.rows, len(problem.model.channels), engine.noise.log)
-        finite = np.where(np.isfinite(self.start.m), self.start.m, 0.0)
-        guess = np.where(np.isfinite(self.first), self.first, finite[self.legs.owner])
-        self.found.start_mean[:], self.found.end_mean[:] = guess, guess
-        if near is not None and all(np.isfinite(table).all() for table in near):
-            self.found.start_mean[:], self.found.end_mean[:] = near
-
-    def run(self) -> Filtered:
-        """The filter's moments where the guess is exact."""
-        legs, found, place, window = self.legs, self.found, 0, self.legs.places
-        passes = 0
-        while place < legs.places:
-            end = min(place + window, legs.places)
-            place = self._pass(place, end)
-            passes += 1
-            if self.engine.affine:
-                break
-            if passes > PASSES:
-                window = WINDOW
-        found.finish(self.seen)
-        return found
-
-    def once(self) -> Filtered:
-        """The moments with everything linearised at the guess."""
-        self._pass(0, self.legs.places)
-        self.found.finish(self.seen)
-        return self.found
-
-    def _pass(self, begin: int, end: int) -> int:
-        """One pass over the places from `begin` to `end`; the first place whose guess was not exact."""
-        engine, legs, found = self.engine, self.legs, self.found
-        index = np.arange(legs.begins[begin], legs.begins[end])
-        flows = _sound(engine.flows(self.at, index, found.start_mean[index]), found.bad, index)
-        rows, place = _rows_of(legs, index)
-        z = found.end_mean[index[place >= 0]]
-        readings = replace(engine.readings(self.at, self.log_sd, rows, z), seen=self.seen[rows])
-        guesses = found.start_mean[index], found.end_mean[index]
-        moment = Moment(self.start.m.copy(), self.start.p.copy()) if begin == 0 else self._stored(begin)
-        kept = Kept.empty(len(index), len(engine.scale))
-        innovations = engine.advance(moment, legs.owner[index], flows, readings, place, kept)
-        found.put(index, kept, flows.a, rows, innovations)
-        moved = _moved(found.start_mean[index], guesses[0], engine.scale)
-        moved |= (place >= 0) & _moved(found.end_mean[index], guesses[1], engine.scale)
-        if not moved.any():
-            return end
-        return int(np.searchsorted(legs.begins, index[np.argmax(moved)], side="right")) - 1
-
-    def _stored(self, place: int) -> Moment:
-        """The moments of all trajectories at the ends of the place before; of those that have ended, any."""
-        owner, span = self.legs.owner, self.legs.at(place - 1)
-        moment = Moment(self.start.m.copy(), self.start.p.copy())
-        moment.put(owner[span], Moment(self.found.post_mean[span], self.found.post_cov[span]))
-        return moment
-
-
-def _rows_of(legs: Legs, index: Integers) -> tuple[Integers, Integers]:
-    """The rows at the ends of legs that have one, and the place of each leg's row among them (-1: none)."""
-    ends = np.flatnonzero(legs.row[index] >= 0)
-    place = np.full(len(index), -1, dtype=np.int64)
-    place[ends] = np.arange(len(ends))
-    return legs.row[index[ends]], place
-
-
-def _moved(new: Array, old: Array, scale: Array) -> Mask:
-    """Which guesses [B, n] differ from what they led to [B]; what is not finite cannot get better."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(new - old) > TOLERANCE * (scale + np.abs(new))).any(axis=1), dtype=np.bool_)
-
-
-def _sound(flows: Flow, bad: Mask, index: Integers) -> Flow:
-    """The flows, with those that are not finite replaced by standing still, and marked."""
-    parts = (flows.mean, flows.a.reshape(len(index), -1), flows.q.reshape(len(index), -1))
-    wrong = ~np.all([np.isfinite(part).all(axis=1) for part in parts], axis=0)
-    bad[index] = wrong
-    if not wrong.any():
-        return flows
-    mean, a, q = flows.mean.copy(), flows.a.copy(), flows.q.copy()
-    mean[wrong], a[wrong], q[wrong] = flows.at[wrong], np.eye(mean.shape[1]), 0.0
-    return Flow(flows.at, mean, a, q)
 
 
 def _first_states(engine: FilterEngine) -> Array:
@@ -395,4 +330,4 @@ def _first_states(engine: FilterEngine) -> Array:
     return out
 
 
-__all__ = ["FilterEngine", "Filtered", "Information", "Innovations"]
+__all__ = ["FilterEngine", "Filtered", "Guess", "Information", "Innovations"]

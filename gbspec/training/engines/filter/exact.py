@@ -61,17 +61,17 @@ class Exact:
     linear: Linear
 
     def evaluate(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
-        """Mean, transition and added covariance of legs from `z` [B, n]; data as for `Local.moved`."""
-        t, h, u, doses, condition = data
+        """Mean, transition and added covariance of legs from `z` [B, n]; data as for `Local.step`."""
+        _, h, u, _, condition = data
         first, group = self._groups(k, h, u, condition)
-        at = (u[first, 0, 0], condition[first])
+        at = (u[first, 0], condition[first])
         factors = self.functions.factors(k[first], w, at, derivatives)
-        push = self.functions.push(k, w, (t[:, 0], h[:, 0], u[:, 0], doses[:, 0], condition), derivatives)
+        push = self.functions.push(k, w, data, derivatives)
         constants = k.shape[1]
         slopes = [
             np.concatenate(pair, axis=-1) for pair in zip(factors.by_constant, factors.by_weight, strict=True)
         ] or [np.zeros((*part.shape, 0)) for part in factors.parts]
-        a, q, *j = _flow(factors.parts, slopes, h[first, 0], 1 if self.linear.steady else 3)
+        a, q, *j = _flow(factors.parts, slopes, h[first], 1 if self.linear.steady else 3)
         *b, added = push.parts
         start = z + added
         mean = _times(a.value[group], start)
@@ -94,7 +94,7 @@ class Exact:
 
     def _groups(self, k: Array, h: Array, u: Array, condition: Array) -> tuple[Integers, Integers]:
         """The first leg of each group of legs with the same factors and length, and the group of each leg."""
-        key = np.concatenate([k, condition, u[:, 0, 0][:, list(self.linear.inputs)], _rounded(h[:, :1])], axis=1)
+        key = np.concatenate([k, condition, u[:, 0][:, list(self.linear.inputs)], _rounded(h[:, None])], axis=1)
         _, first, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
         return first.astype(np.int64), group.reshape(-1).astype(np.int64)
 

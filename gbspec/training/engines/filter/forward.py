@@ -6,7 +6,7 @@ chosen where it can be, and the tests compare both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,19 +25,21 @@ def covers(model: Model) -> bool:
 
 @dataclass(frozen=True)
 class _Point:
-    """The model at B points: conditions [B, c], and constants [B, k] as jets whose derivatives follow those of `n`
-    coordinates; p variables in all."""
+    """The model at B points: conditions [B, c], and constants [B, k], jets whose derivatives follow those of `n`
+    coordinates where these are wanted; p variables in all. `order`: that of the derivatives in coordinates."""
 
     local: Local
     condition: Array
     constants: tuple[Any, ...]
     n: int
     p: int
-    bent: bool
+    order: int
 
     def seeded(self, z: Array) -> Vector:
         """Coordinates [B, n] as variables."""
-        unit, n = np.eye(self.p)[:, None], self.n if self.bent else 0
+        if not self.order:
+            return Vector(z.T)
+        unit, n = np.eye(self.p)[:, None], self.n if self.order > 1 else 0
         return Vector(Jet(z[:, i], unit[i], None, n) for i in range(self.n))
 
     def states(self, z: Vector) -> Vector:
@@ -95,83 +97,39 @@ class Forward:
 
     local: Local
 
-    def _point(self, k: Array, condition: Array, n: int, derivatives: bool) -> _Point:
+    def _point(self, k: Array, condition: Array, n: int, order: int, varied: bool) -> _Point:
+        """The points, with derivatives in coordinates of this order, and with `varied` in the constants."""
         known = tuple(float(constant.value) for constant in self.local.problem.model.constants)
-        p = n + (k.shape[1] if derivatives else 0)
+        p = n + (k.shape[1] if varied else 0)
         learned: list[Any] = [k[:, i] for i in range(k.shape[1])]
-        if derivatives:
-            learned = [Jet(value, np.eye(p)[None, n + i], None, n) for i, value in enumerate(learned)]
-        return _Point(self.local, condition, (*known, *learned), n, p, derivatives)
+        if varied:
+            bent = n if order > 1 else 0
+            learned = [Jet(value, np.eye(p)[None, n + i], None, bent) for i, value in enumerate(learned)]
+        return _Point(self.local, condition, (*known, *learned), n, p, order)
 
     # ---------------------------------------------------------------- sub-steps
-    def moved(self, z: Array, k: Array, data: Arrays) -> tuple[Arrays, Array]:
-        """`Local.moved`."""
-        t, h, u, doses, condition = data
-        n = z.shape[1]
-        a, q, starts = np.tile(np.eye(n), (len(z), 1, 1)), np.zeros((len(z), n, n)), []
-        for s in range(t.shape[1]):
-            starts.append(z)
-            z, step, more = self._stepped(z, k, (t[:, s], h[:, s], u[:, s], doses[:, s], condition), False).parts
-            with np.errstate(all="ignore"):
-                a, q = step @ a, step @ q @ step.transpose(0, 2, 1) + more
-        return (z, a, q), np.stack(starts, 1)
-
-    def step(self, z: Array, k: Array, data: Arrays) -> Evaluated:
-        """`Local.step` with its derivatives."""
-        return self._stepped(z, k, data, True)
-
-    def _stepped(self, z: Array, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
-        t, h, u, doses, condition = data
+    def field(self, z: Array, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
+        """`Local.field`."""
+        t, u, condition = data
         with np.errstate(all="ignore"):
-            point = self._point(k, condition, z.shape[1], derivatives)
-            if not doses.shape[-1]:
-                return self._split(*self._undosed(point, z, (t, h, u)), point.n)
-            jump = point.dosed(point.seeded(z), doses)
-            return _after(jump, self._undosed(point, jump.value(len(z)), (t, h, u)), point)
+            point = self._point(k, condition, z.shape[1], int(derivatives), derivatives)
+            seed = point.seeded(z)
+            sizes = point.spread(point.states(seed), u)
+            squares = Vector(each * each for each in sizes)
+            return self._all((point.drift(t, seed, u), squares), len(z), point, derivatives)
 
-    def _undosed(self, point: _Point, z: Array, data: Arrays) -> tuple[Arrays, Arrays]:
-        """Mean, transition and added covariance of a sub-step, and their derivatives [B, ..., p]."""
-        t, h, u = data
-        ops, equations = jet_arithmetic(), self.local.problem.module.equations
-        nodes, n, p, count = tuple(u[:, i] for i in range(u.shape[1])), z.shape[1], point.p, len(z)
-        slopes: list[Vector] = []
+    def dosed(self, z: Array, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
+        """`Local.dosed`."""
+        doses, condition = data
+        with np.errstate(all="ignore"):
+            point = self._point(k, condition, z.shape[1], int(derivatives), derivatives)
+            return self._all((point.dosed(point.seeded(z), doses),), len(z), point, derivatives)
 
-        def drift(*at: Any) -> Vector:
-            slopes.append(point.drift(*at))
-            return slopes[-1]
-
-        # The first one that a step of any explicit method takes is that at its start.
-        end = equations.step(ops, drift, equations.grid(ops, t, h), point.seeded(z), nodes)
-        mean = end.value(count)
-        first, last = slopes[0], point.drift(t + h, point.seeded(mean), nodes[-1])
-        d_end = end.slopes(count, p)
-        a, f, g = d_end[..., :n], first.slopes(count, p)[..., :n], last.slopes(count, p)[..., :n]
-        size = h[:, None, None]
-        middle = 0.5 * (a + np.eye(n)) + 0.125 * size * (g - a @ f)
-        between = nodes[self.local.middle] if self.local.middle is not None else 0.5 * (nodes[0] + nodes[-1])
-        places = (z, nodes[0]), (0.5 * (z + mean), between), (mean, nodes[-1])
-        spreads = [point.spread(point.states(point.seeded(where)), inputs) for where, inputs in places]
-        factors, sizes = (a, middle, np.eye(n)[None]), [spread.value(count) for spread in spreads]
-        x = [m * s[:, None] for m, s in zip(factors, sizes, strict=True)]
-        weights = (size / 6, 4 * size / 6, size / 6)
-        q = sum(w * (each @ each.transpose(0, 2, 1)) for w, each in zip(weights, x, strict=True))
-        if not point.bent:
-            return (mean, a, np.asarray(q)), ()
-        da, df = end.bends(count, n, p), first.bends(count, n, p)
-        dg = _along(last.bends(count, n, p), d_end, n)
-        d_middle = 0.5 * da + 0.125 * size[..., None] * (dg - _product(a, f, da, df))
-        one = np.broadcast_to(np.eye(n, p), (count, n, p))
-        dq = np.zeros((count, n, n, p))
-        moves = zip(
-            weights, x, factors, (da, d_middle, None), spreads, sizes, (one, 0.5 * (one + d_end), d_end), strict=True
-        )
-        for w, each, factor, d_factor, spread, s, d_place in moves:
-            dx = factor[..., None] * _along(spread.slopes(count, p), d_place, n)[:, None]
-            if d_factor is not None:
-                dx = dx + d_factor * s[:, None, :, None]
-            part = np.matmul(each[:, None], dx)
-            dq += w[..., None] * (part + part.transpose(0, 2, 1, 3))
-        return (mean, a, np.asarray(q)), (d_end, da, dq)
+    def _all(self, parts: tuple[Vector, ...], count: int, point: _Point, derivatives: bool) -> Evaluated:
+        """Values [B, m], and where wanted their first derivatives."""
+        values = tuple(part.value(count) for part in parts)
+        slopes = tuple(part.slopes(count, point.p) for part in parts) if derivatives else ()
+        return self._split(values, slopes, point.n)
 
     @staticmethod
     def _split(parts: Arrays, slopes: Arrays, n: int) -> Evaluated:
@@ -184,9 +142,17 @@ class Forward:
         """`Local.observation`."""
         t, u, condition = data
         with np.errstate(all="ignore"):
-            point = self._point(k, condition, z.shape[1], derivatives)
+            point = self._point(k, condition, z.shape[1], int(derivatives), derivatives)
             y = point.observed(t, point.seeded(z), u)
+        return self._all((y,), len(z), point, derivatives)
+
+    def tangent(self, z: Array, k: Array, data: Arrays, derivatives: bool) -> Evaluated:
+        """`Local.tangent`."""
+        t, u, condition = data
         n, count = z.shape[1], len(z)
+        with np.errstate(all="ignore"):
+            point = self._point(k, condition, n, 2 if derivatives else 1, derivatives)
+            y = point.observed(t, point.seeded(z), u)
         slopes = y.slopes(count, point.p)
         parts = y.value(count), slopes[..., :n]
         return self._split(parts, (slopes, y.bends(count, n, point.p)) if derivatives else (), n)
@@ -196,7 +162,7 @@ class Forward:
         variance, condition = data
         n = starts.shape[1]
         with np.errstate(all="ignore"):
-            point = self._point(k, condition, n, derivatives)
+            point = self._point(k, condition, n, 2 if derivatives else 1, derivatives)
             seed, equations = point.seeded(starts), self.local.problem.module.equations
             z = point.of_states(Vector(equations.initial(jet_arithmetic(), seed, condition, point.constants)))
         slopes = z.slopes(len(starts), point.p)
@@ -213,7 +179,7 @@ class Forward:
         u, condition = data
         n = len(self.local.problem.model.states)
         with np.errstate(all="ignore"):
-            point = self._point(k, condition, n, derivatives)
+            point = self._point(k, condition, n, 2 if derivatives else 1, derivatives)
             zero = point.seeded(np.zeros((len(k), n)))
             drift, spread = point.drift(np.zeros(len(k)), zero, u), point.spread(zero, u)
         p, count = point.p, len(k)
@@ -225,7 +191,7 @@ class Forward:
         t, h, u, doses, condition = data
         n = len(self.local.problem.model.states)
         with np.errstate(all="ignore"):
-            point = replace(self._point(k, condition, n, derivatives), bent=False)
+            point = self._point(k, condition, n, int(derivatives), derivatives)
             zero = point.seeded(np.zeros((len(k), n)))
             found = [point.drift(t, zero, u[:, 0])]
             if not self.local.steady:
@@ -236,31 +202,3 @@ class Forward:
         # What doses add does not depend on the state: its derivative there is that of the state itself.
         slopes = tuple(part.slopes(len(k), point.p) for part in found) if derivatives else ()
         return self._split(tuple(part.value(len(k)) for part in found), slopes, n)
-
-
-def _after(jump: Vector, found: tuple[Arrays, Arrays], point: _Point) -> Evaluated:
-    """A sub-step after doses, by the coordinates before them."""
-    (mean, a, q), slopes = found
-    n, count = point.n, len(mean)
-    d_jump = jump.slopes(count, point.p)
-    whole = (mean, a @ d_jump[..., :n], q)
-    if not point.bent:
-        return Evaluated(whole)
-    d_mean, d_a, d_q = (_along(each, d_jump, n) for each in slopes)
-    d_whole = _product(a, d_jump[..., :n], d_a, jump.bends(count, n, point.p))
-    return Forward._split(whole, (d_mean, d_whole, d_q), n)
-
-
-def _along(slopes: Array, place: Array, n: int) -> Array:
-    """Derivatives [B, ..., p] at a place that moves by `place` [B, n, p] with the variables."""
-    flat = slopes.reshape(len(slopes), -1, slopes.shape[-1])
-    found: Array = np.matmul(flat[..., :n], place)
-    found[..., n:] += flat[..., n:]
-    return found.reshape(slopes.shape)
-
-
-def _product(a: Array, b: Array, da: Array, db: Array) -> Array:
-    """The derivatives [B, n, n, p] of the products of matrices [B, n, n]."""
-    left = np.matmul(b.transpose(0, 2, 1)[:, None], da)
-    right = np.matmul(a, db.reshape(*db.shape[:2], -1)).reshape(da.shape)
-    return np.asarray(left + right)

@@ -1,4 +1,4 @@
-"""The functions of legs and rows, each by the way that is fastest for the model."""
+"""The functions of sub-steps and rows, each by the way that is fastest for the model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.training.engines.filter.forward import Forward
-from gbspec.training.engines.filter.local import Arrays, Evaluated, Local, Parts, evaluate, numbers
+from gbspec.training.engines.filter.local import Arrays, Evaluated, Local, Parts, evaluate
 
 
 @dataclass(frozen=True)
@@ -22,26 +22,29 @@ class Functions:
     local: Local
     forward: Forward | None
 
-    def moved(self, z: Array, k: Array, w: Tensor, data: Arrays) -> tuple[Arrays, Array]:
-        """Mean, transition and added covariance at the ends of legs, and the coordinates at their sub-steps."""
+    def field(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """`Local.field`."""
         if self.forward is not None:
-            return self.forward.moved(z, k, data)
-        parts, starts = self.local.moved(torch.from_numpy(z), torch.from_numpy(k), w, tensors(data))
-        return numbers(parts), starts.numpy()
+            return self.forward.field(z, k, data, derivatives)
+        return _by_torch(self.local.field, z, k, w, data, derivatives)
 
-    def step(self, z: Array, k: Array, w: Tensor, data: Arrays) -> Evaluated:
-        """The same for single sub-steps, with derivatives."""
+    def dosed(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """`Local.dosed`."""
         if self.forward is not None:
-            return self.forward.step(z, k, data)
-        return _by_torch(self.local.step, z, k, w, data, True)
+            return self.forward.dosed(z, k, data, derivatives)
+        return _by_torch(self.local.dosed, z, k, w, data, derivatives)
 
     def observation(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
-        """Predicted channels of rows and their slopes."""
+        """`Local.observation`."""
         if self.forward is not None:
             return self.forward.observation(z, k, data, derivatives)
-        if derivatives:
-            return _by_torch(self.local.observation, z, k, w, data, True)
-        return Evaluated(numbers(self.local.observed(torch.from_numpy(z), torch.from_numpy(k), w, tensors(data))))
+        return _by_torch(self.local.observation, z, k, w, data, derivatives)
+
+    def tangent(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
+        """`Local.tangent`."""
+        if self.forward is not None:
+            return self.forward.tangent(z, k, data, derivatives)
+        return _by_torch(self.local.tangent, z, k, w, data, derivatives)
 
     def start(self, starts: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
         """Mean and covariance at the starts of trajectories, which do not depend on weights."""

@@ -2,8 +2,8 @@
 
 The derivatives of small models by autodifferentiation of tensors cost far more than the numbers in them. A `Jet` is a
 value with its derivatives in p variables, of which the first n are coordinates, and with second derivatives in the
-coordinates and all variables: what an extended Kalman filter and its gradient need (forward mode, Griewank and Walther
-2008, chapter 13).
+coordinates and all variables: what the matrices of linear models and of starts need with their gradients (forward mode,
+Griewank and Walther 2008, chapter 13).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The legs of trajectories: the parts between two points at which the filter's moments are needed.
 
-A leg ends at a key row, where measurements update the moments, or (in models whose legs are solved exactly) at the end
-of a sub-step. Legs are ordered by their place within their trajectory, then by trajectory; trajectories by decreasing
-number of legs, so that those with a leg at a place come first.
+A leg is a sub-step, or nothing before a key row at the start; at the end of some there is a key row, where measurements
+update the moments. Legs are ordered by their place within their trajectory, then by trajectory; trajectories by
+decreasing number of legs, so that those with a leg at a place come first.
 """
 
 from __future__ import annotations
@@ -40,9 +40,16 @@ class Legs:
         """The legs at a place."""
         return slice(int(self.begins[place]), int(self.begins[place + 1]))
 
+    def rows_of(self, index: Integers) -> tuple[Integers, Integers]:
+        """The rows at the ends of legs that have one, and the place of each leg's row among them (-1: none)."""
+        ends = np.flatnonzero(self.row[index] >= 0)
+        place = np.full(len(index), -1, dtype=np.int64)
+        place[ends] = np.arange(len(ends))
+        return self.row[index[ends]], place
 
-def legs_of(problem: Problem, single: bool) -> Legs:
-    """The legs of a problem: one for each interval between key rows, or with `single` one for each sub-step."""
+
+def legs_of(problem: Problem) -> Legs:
+    """The legs of a problem."""
     packed = problem.packed
     found: list[list[tuple[int, int, int]]] = []
     for i in range(packed.trajectories):
@@ -51,10 +58,10 @@ def legs_of(problem: Problem, single: bool) -> Legs:
         at = 0
         for row in rows[np.argsort(packed.row_index[rows])]:
             end = int(packed.row_step[row])
-            if single and end > at:
+            if end > at:
                 mine += [(step, 1, -1) for step in range(at, end - 1)] + [(end - 1, 1, int(row))]
             else:
-                mine.append((at, end - at, int(row)))
+                mine.append((at, 0, int(row)))
             at = end
         found.append(mine)
     rank = np.argsort([-len(mine) for mine in found], kind="stable").astype(np.int64)
@@ -69,10 +76,10 @@ def legs_of(problem: Problem, single: bool) -> Legs:
 
 @dataclass(frozen=True)
 class Steps:
-    """The sub-steps of B legs, padded with sub-steps of length zero to the same number D.
+    """The sub-steps of B legs.
 
-    Starts `t` and lengths `h` [B, D], inputs at the method's nodes [B, D, nodes, n_inputs], the amounts of doses that
-    arrive at their starts [B, D, kinds], conditions [B, n_conditions].
+    Starts `t` and lengths `h` [B], inputs at the method's nodes [B, nodes, n_inputs], the amounts of doses that arrive
+    at their starts [B, kinds], conditions [B, n_conditions].
     """
 
     t: Array
@@ -82,21 +89,12 @@ class Steps:
     condition: Array
 
 
-def steps_of(path: Path, owner: Integers, first: Integers, count: Integers, depth: int) -> Steps:
-    """The sub-steps `first` to `first + count` of the trajectories `owner` [B], padded to `depth`."""
+def steps_of(path: Path, owner: Integers, number: Integers) -> Steps:
+    """The sub-steps `number` of the trajectories `owner` [B]."""
     packed = path.packed
-    number = first[:, None] + np.arange(depth)
-    inside = np.arange(depth) < count[:, None]
-    last = np.minimum(number, np.maximum(first + count - 1, 0)[:, None])
-    last = np.clip(last, 0, max(packed.depth - 1, 0))
-    who = np.broadcast_to(owner[:, None], last.shape)
-    if not packed.depth:
-        shape = (*last.shape, len(packed.nodes), packed.inputs.shape[3])
-        zero = np.zeros(last.shape)
-        return Steps(zero, zero, np.zeros(shape), np.zeros((*last.shape, 0)), packed.condition[owner])
-    doses = np.where(inside[:, :, None], dose_amounts(path)[last, who], 0.0)
-    h = np.where(inside, packed.h[last, who], 0.0)
-    return Steps(packed.t[last, who], h, packed.inputs[last, who], doses, packed.condition[owner])
+    doses = dose_amounts(path)[number, owner]
+    at = (number, owner)
+    return Steps(packed.t[at], packed.h[at], packed.inputs[at], doses, packed.condition[owner])
 
 
 def dose_amounts(path: Path) -> Array:
@@ -106,13 +104,3 @@ def dose_amounts(path: Path) -> Array:
     mine = path.step >= 0
     np.add.at(out, (path.step[mine], doses.owner[mine], doses.kind[mine]), doses.amount[mine])
     return out
-
-
-def buckets(count: Integers) -> list[tuple[int, Integers]]:
-    """Legs of similar numbers of sub-steps: each a number to which they are padded, and their indices."""
-    size = np.where(count > 0, 2 ** np.ceil(np.log2(np.maximum(count, 1))).astype(np.int64), 0)
-    found = []
-    for each in np.unique(size):
-        index = np.flatnonzero(size == each)
-        found.append((int(count[index].max(initial=0)), index))
-    return found

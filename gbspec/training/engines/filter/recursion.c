@@ -7,8 +7,8 @@ typedef struct {
     int64_t legs, n, channels, width;
     const int64_t *owner, *place;
     double *m, *p, *dm, *dp;
-    const double *at, *mean, *a, *q, *a_state, *q_state, *d_mean, *d_a, *d_q;
-    const double *read_at, *y, *c, *value, *r, *c_state, *d_y, *d_c, *d_r;
+    const double *at, *mean, *a, *q, *by_moment, *by_rest, *d_mean, *d_a, *d_q;
+    const double *read_at, *y, *c, *value, *r, *read_by_moment, *read_by_rest, *d_y, *d_c, *d_r;
     const uint8_t *seen;
     double *before_m, *before_p, *end_m, *end_p, *post_m, *post_p;
     double *error, *variance, *predicted, *d_error, *d_variance;
@@ -37,6 +37,12 @@ static void symmetric(double *p, int64_t n) {
         for (j = 0; j < i; j++) p[i * n + j] = p[j * n + i] = 0.5 * (p[i * n + j] + p[j * n + i]);
 }
 
+/* Derivatives of mean and covariance, one after the other: [n + n n][w]. */
+static void stack(double *to, const double *dm, const double *dp, int64_t n, int64_t w) {
+    memcpy(to, dm, sizeof(double) * n * w);
+    memcpy(to + n * w, dp, sizeof(double) * n * n * w);
+}
+
 static void predict(const Sweep *s, int64_t leg, double *m, double *p, double *dm, double *dp) {
     const int64_t n = s->n, w = s->width, nn = n * n;
     const double *a = s->a + leg * nn, *at = s->at + leg * n;
@@ -48,10 +54,17 @@ static void predict(const Sweep *s, int64_t leg, double *m, double *p, double *d
             for (l = 0; l < n; l++) pa[i * n + j] += p[i * n + l] * a[j * n + l];
         }
     for (i = 0; i < n; i++) moved[i] = m[i] - at[i];
-    if (w) {
+    if (w && s->by_moment) {
+        const int64_t all = n + nn;
+        double *whole = da, *next = whole + all * w;
+        stack(whole, dm, dp, n, w);
+        memcpy(next, s->by_rest + leg * all * w, sizeof(double) * all * w);
+        product(next, s->by_moment + leg * all * all, whole, all, all, w, 1);
+        memcpy(dm, next, sizeof(double) * n * w);
+        memcpy(dp, next + n * w, sizeof(double) * nn * w);
+    } else if (w) {
         /* dp' = dq + da (P a') + its transpose + a dP a' */
         memcpy(da, s->d_a + leg * nn * w, sizeof(double) * nn * w);
-        if (s->a_state) product(da, s->a_state + leg * nn * n, dm, nn, n, w, 1);
         product(inner, a, dp, n, n, n * w, 0);
         for (i = 0; i < n; i++) product(dp + i * n * w, a, inner + i * n * w, n, n, w, 0);
         memset(along, 0, sizeof(double) * nn * w);
@@ -70,7 +83,6 @@ static void predict(const Sweep *s, int64_t leg, double *m, double *p, double *d
                 double *to = dp + (i * n + j) * w;
                 for (k = 0; k < w; k++) to[k] += dq[k] + one[k] + other[k];
             }
-        if (s->q_state) product(dp, s->q_state + leg * nn * n, dm, nn, n, w, 1);
         memcpy(inner, s->d_mean + leg * n * w, sizeof(double) * n * w);
         product(inner, a, dm, n, n, w, 1);
         memcpy(dm, inner, sizeof(double) * n * w);
@@ -89,13 +101,30 @@ static void predict(const Sweep *s, int64_t leg, double *m, double *p, double *d
     symmetric(p, n);
 }
 
-/* One channel's value; `before` and `d_before` are the mean and its derivatives before the measurements of the row. */
-static void take(const Sweep *s, int64_t row, int64_t channel, const double *before, const double *d_before, double *m,
-                 double *p, double *dm, double *dp, double *space) {
+/* The derivatives of predictions, slopes and variances of a row [channels (n + 2)][w] at its moments. */
+static void read(const Sweep *s, int64_t row, const double *dm, const double *dp, double *out, double *space) {
+    const int64_t n = s->n, w = s->width, channels = s->channels, all = n + n * n, count = channels * (n + 2);
+    if (s->read_by_moment) {
+        stack(space, dm, dp, n, w);
+        memcpy(out, s->read_by_rest + row * count * w, sizeof(double) * count * w);
+        product(out, s->read_by_moment + row * count * all, space, count, all, w, 1);
+        return;
+    }
+    memcpy(out, s->d_y + row * channels * w, sizeof(double) * channels * w);
+    product(out, s->c + row * channels * n, dm, channels, n, w, 1);
+    memcpy(out + channels * w, s->d_c + row * channels * n * w, sizeof(double) * channels * n * w);
+    memcpy(out + channels * (n + 1) * w, s->d_r + row * channels * w, sizeof(double) * channels * w);
+}
+
+/* One channel's value; `before` and `d_before` are the mean and its derivatives before the measurements of the row, and
+   `slopes` what `read` has found. */
+static void take(const Sweep *s, int64_t row, int64_t channel, const double *before, const double *d_before,
+                 const double *slopes, double *m, double *p, double *dm, double *dp, double *space) {
     const int64_t n = s->n, w = s->width, nn = n * n, place = row * s->channels + channel;
     const double *c = s->c + place * n, r = s->r[place];
-    double *pc = space, *gain = pc + n, *left = gain + n, *next = left + nn, *dc = next + nn, *dpc = dc + n * w;
-    double *d_gain = dpc + n * w;
+    const double *d_y = slopes + channel * w, *dc = slopes + (s->channels + channel * n) * w;
+    const double *d_r = slopes + (s->channels * (n + 1) + channel) * w;
+    double *pc = space, *gain = pc + n, *left = gain + n, *next = left + nn, *dpc = next + nn, *d_gain = dpc + n * w;
     double error = s->value[place] - s->predicted[place], variance = r;
     int64_t i, j, l, k;
     for (i = 0; i < n; i++) {
@@ -109,16 +138,14 @@ static void take(const Sweep *s, int64_t row, int64_t channel, const double *bef
     s->variance[place] = variance;
     if (w) {
         double *de = s->d_error + place * w, *dv = s->d_variance + place * w;
-        memcpy(dc, s->d_c + place * n * w, sizeof(double) * n * w);
-        if (s->c_state) product(dc, s->c_state + place * nn, d_before, n, n, w, 1);
         for (k = 0; k < w; k++) {
-            de[k] = -s->d_y[place * w + k];
-            dv[k] = s->d_r[place * w + k];
+            de[k] = -d_y[k];
+            dv[k] = d_r[k];
         }
         product(dpc, p, dc, n, n, w, 0);
         for (i = 0; i < n; i++)
             for (k = 0; k < w; k++) {
-                de[k] -= c[i] * dm[i * w + k] + (m[i] - before[i]) * dc[i * w + k];
+                de[k] -= c[i] * (dm[i * w + k] - d_before[i * w + k]) + (m[i] - before[i]) * dc[i * w + k];
                 dv[k] += pc[i] * dc[i * w + k];
             }
         for (l = 0; l < n; l++)
@@ -157,7 +184,8 @@ static void keep(double *table, int64_t leg, const double *values, int64_t count
 
 void advance(const Sweep *s) {
     const int64_t n = s->n, w = s->width, nn = n * n;
-    double *before = s->work, *d_before = before + n, *space = d_before + n * w;
+    double *before = s->work, *d_before = before + n, *slopes = d_before + n * w;
+    double *space = slopes + s->channels * (n + 2) * w;
     int64_t leg, channel, i;
     Sweep inner = *s;
     inner.work = space;
@@ -172,13 +200,16 @@ void advance(const Sweep *s) {
         keep(s->end_p, leg, p, nn);
         if (row >= 0) {
             memcpy(before, m, sizeof(double) * n);
-            if (w) memcpy(d_before, dm, sizeof(double) * n * w);
+            if (w) {
+                memcpy(d_before, dm, sizeof(double) * n * w);
+                read(s, row, dm, dp, slopes, space);
+            }
             for (channel = 0; channel < s->channels; channel++) {
                 const int64_t place = row * s->channels + channel;
                 double sum = s->y[place];
                 for (i = 0; i < n; i++) sum += s->c[place * n + i] * (before[i] - s->read_at[row * n + i]);
                 s->predicted[place] = sum;
-                if (s->seen[place]) take(s, row, channel, before, d_before, m, p, dm, dp, space);
+                if (s->seen[place]) take(s, row, channel, before, d_before, slopes, m, p, dm, dp, space);
             }
         }
         keep(s->post_m, leg, m, n);

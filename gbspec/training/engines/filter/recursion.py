@@ -8,7 +8,7 @@ with the moments (Gupta and Mehra 1974), all parameters at once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeVar
 
@@ -44,16 +44,19 @@ class Moment:
 class Flow:
     """What happens in a leg of b trajectories, linearised at the coordinates `at` [b, n].
 
-    `mean`, `a`, `q` as in `local`; `a_state` and `q_state` [b, n, n, n] their derivatives in the coordinates (None:
-    zero), `d_mean`, `d_a`, `d_q` [b, ..., k] those in the parameters.
+    `mean` [b, n] at its end, the transition `a` and the added covariance `q` [b, n, n], of a model that is not linear
+    at the covariance `cov` [b, n, n]. Derivatives: of a linear one those in the parameters `d_mean`, `d_a`, `d_q`
+    [b, ..., k]; else those of mean and covariance at the end (n, then n * n numbers) in those at the start, `by_moment`
+    [b, n + n n, n + n n], and in the parameters, `by_rest` [b, n + n n, k].
     """
 
     at: Array
     mean: Array
     a: Array
     q: Array
-    a_state: Array | None = None
-    q_state: Array | None = None
+    cov: Array | None = None
+    by_moment: Array | None = None
+    by_rest: Array | None = None
     d_mean: Array | None = None
     d_a: Array | None = None
     d_q: Array | None = None
@@ -66,20 +69,26 @@ def predicted(before: Moment, flow: Flow) -> Moment:
     p = np.matmul(flow.a, pa) + flow.q
     if before.dm is None or before.dp is None:
         return Moment(m, _symmetric(p))
+    b, n, k = before.dm.shape
+    if flow.by_moment is not None and flow.by_rest is not None:
+        moved = np.matmul(flow.by_moment, _stacked(before)) + flow.by_rest
+        return Moment(m, _symmetric(p), moved[:, :n], moved[:, n:].reshape(b, n, n, k))
     assert flow.d_mean is not None
     assert flow.d_a is not None
     assert flow.d_q is not None
-    b, n, k = before.dm.shape
     dm = flow.d_mean + np.matmul(flow.a, before.dm)
-    da, dp = flow.d_a, flow.d_q
-    if flow.a_state is not None:
-        da = da + np.matmul(flow.a_state.reshape(b, n * n, n), before.dm).reshape(b, n, n, k)
-    if flow.q_state is not None:
-        dp = dp + np.matmul(flow.q_state.reshape(b, n * n, n), before.dm).reshape(b, n, n, k)
-    moved = np.matmul(pa.transpose(0, 2, 1)[:, None], da)
+    moved = np.matmul(pa.transpose(0, 2, 1)[:, None], flow.d_a)
     inner = np.matmul(flow.a, before.dp.reshape(b, n, n * k)).reshape(b, n, n, k)
-    dp = dp + moved + moved.transpose(0, 2, 1, 3) + np.matmul(flow.a[:, None], inner)
+    dp = flow.d_q + moved + moved.transpose(0, 2, 1, 3) + np.matmul(flow.a[:, None], inner)
     return Moment(m, _symmetric(p), dm, dp)
+
+
+def _stacked(moment: Moment) -> Array:
+    """The derivatives of mean and covariance [b, n + n n, k]."""
+    assert moment.dm is not None
+    assert moment.dp is not None
+    b, n, k = moment.dm.shape
+    return np.concatenate([moment.dm, moment.dp.reshape(b, n * n, k)], axis=1)
 
 
 @dataclass(frozen=True)
@@ -87,8 +96,10 @@ class Reading:
     """The channels of a row of b trajectories, linearised at the coordinates `at` [b, n].
 
     Predictions `y` [b, C] and slopes `c` [b, C, n], measurements `value` [b, C] with variances `r` [b, C], and which
-    are `seen` [b, C]; derivatives in the coordinates `c_state` [b, C, n, n], and in the parameters `d_y`, `d_c` and
-    `d_r` [b, ..., k].
+    are `seen` [b, C]; of readings that are not linear at the covariance `cov` [b, n, n]. Derivatives: of linear ones
+    those in the parameters `d_y`, `d_c` and `d_r` [b, ..., k]; else those of predictions, slopes and variances (C, then
+    C * n, then C numbers) in the moments, `by_moment` [b, C (n + 2), n + n n], and in the parameters, `by_rest`
+    [b, C (n + 2), k].
     """
 
     at: Array
@@ -97,10 +108,24 @@ class Reading:
     value: Array
     r: Array
     seen: Mask
-    c_state: Array | None = None
+    cov: Array | None = None
+    by_moment: Array | None = None
+    by_rest: Array | None = None
     d_y: Array | None = None
     d_c: Array | None = None
     d_r: Array | None = None
+
+    def slopes(self, before: Moment) -> tuple[Array, Array, Array]:
+        """The derivatives [b, ..., k] of predictions, slopes and variances at moments with derivatives."""
+        if self.by_moment is None or self.by_rest is None:
+            assert self.d_y is not None
+            assert self.d_c is not None
+            assert self.d_r is not None
+            assert before.dm is not None
+            return self.d_y + np.matmul(self.c, before.dm), self.d_c, self.d_r
+        table, (b, channels, n) = np.matmul(self.by_moment, _stacked(before)) + self.by_rest, self.c.shape
+        y, c, r = np.split(table, [channels, channels * (n + 1)], axis=1)
+        return y, c.reshape(b, channels, n, -1), r
 
 
 @dataclass
@@ -150,14 +175,14 @@ def advanced(
     for begin, end in pairwise(_ends(owner)):
         legs, who = slice(int(begin), int(end)), owner[begin:end]
         before = moment.of(who)
-        now = predicted(before, _part(flow, legs))
+        now = predicted(before, part_of(flow, legs))
         if kept is not None:
             kept.before.put(legs, before)
             kept.end.put(legs, now)
         mine = np.flatnonzero(place[legs] >= 0)
         if len(mine):
             at = place[legs][mine]
-            after, found = updated(now.of(mine), _part(reading, at))
+            after, found = updated(now.of(mine), part_of(reading, at))
             now.put(mine, after)
             for table, values in zip(vars(out).values(), vars(found).values(), strict=True):
                 if table is not None:
@@ -176,10 +201,31 @@ def _ends(owner: Integers) -> list[int]:
     return [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(owner)]
 
 
-def _part(tables: Tables, which: slice | Integers) -> Tables:
+def part_of(tables: Tables, which: slice | Integers) -> Tables:
     """Some rows of all tables."""
     parts = (None if table is None else table[which] for table in vars(tables).values())
     return type(tables)(*parts)  # type: ignore[arg-type]
+
+
+def put(tables: Tables, where: Integers, new: Tables) -> Tables:
+    """The tables with some rows replaced, in place."""
+    for name, part in vars(new).items():
+        if part is not None:
+            getattr(tables, name)[where] = part
+    return tables
+
+
+def standing(before: Moment, width: int | None, linear: bool) -> Flow:
+    """The flows in which nothing happens; with derivatives in `width` parameters unless that is None."""
+    b, n = before.m.shape
+    both, unit = n + n * n, np.tile(np.eye(n), (b, 1, 1))
+    plain = Flow(before.m, before.m.copy(), unit, np.zeros((b, n, n)), None if linear else before.p)
+    if width is None:
+        return plain
+    if linear:
+        d_mean, d_a, d_q = (np.zeros((b, *shape, width)) for shape in ((n,), (n, n), (n, n)))
+        return replace(plain, d_mean=d_mean, d_a=d_a, d_q=d_q)
+    return replace(plain, by_moment=np.tile(np.eye(both), (b, 1, 1)), by_rest=np.zeros((b, both, width)))
 
 
 def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:
@@ -189,20 +235,15 @@ def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:
     now = Moment(before.m.copy(), before.p.copy())
     out = Innovations.empty(b, channels, None if before.dm is None else before.dm.shape[2])
     out.mean[:] = y
-    dc = dy = None
+    slopes = None
     if before.dm is not None and before.dp is not None:
-        assert reading.d_y is not None
-        assert reading.d_c is not None
-        dy, dc = reading.d_y + np.matmul(reading.c, before.dm), reading.d_c
-        if reading.c_state is not None:
-            n, k = before.dm.shape[1:]
-            dc = dc + np.matmul(reading.c_state.reshape(b, channels * n, n), before.dm).reshape(b, channels, n, k)
+        slopes = reading.slopes(before)
         now.dm, now.dp = before.dm.copy(), before.dp.copy()
     for channel in range(channels):
         who = np.flatnonzero(reading.seen[:, channel])
         if len(who):
             rows = slice(None) if len(who) == b else who
-            _one_value(before, now, reading, channel, rows, y[rows, channel], (dy, dc), out)
+            _one_value(before, now, reading, channel, rows, y[rows, channel], slopes, out)
     return now, out
 
 
@@ -213,7 +254,7 @@ def _one_value(
     channel: int,
     rows: slice | np.ndarray,
     y: Array,
-    slopes: tuple[Array | None, Array | None],
+    slopes: tuple[Array, Array, Array] | None,
     out: Innovations,
 ) -> None:
     """Takes one channel's values into account, in place."""
@@ -225,10 +266,9 @@ def _one_value(
     variance = np.einsum("bi,bi->b", c, pc) + r
     gain = pc / variance[:, None]
     out.error[rows, channel], out.variance[rows, channel] = error, variance
-    dy, dc = slopes
-    if dy is not None and dc is not None and now.dm is not None and now.dp is not None:
+    if slopes is not None and now.dm is not None and now.dp is not None:
+        dy, dc, dr = slopes
         assert before.dm is not None
-        assert reading.d_r is not None
         assert out.d_error is not None
         assert out.d_variance is not None
         dm, dp, dcc = now.dm[rows], now.dp[rows], dc[rows, channel]
@@ -236,7 +276,7 @@ def _one_value(
         d_error = -dy[rows, channel] - np.matmul(c[:, None], dm - before.dm[rows])[:, 0]
         d_error -= np.matmul(moved[:, None], dcc)[:, 0]
         dpc = np.matmul(c[:, None], dp.reshape(-1, n, n * k)).reshape(-1, n, k) + np.matmul(p, dcc)
-        d_variance = np.matmul(c[:, None], dpc)[:, 0] + np.matmul(pc[:, None], dcc)[:, 0] + reading.d_r[rows, channel]
+        d_variance = np.matmul(c[:, None], dpc)[:, 0] + np.matmul(pc[:, None], dcc)[:, 0] + dr[rows, channel]
         d_gain = (dpc - gain[:, :, None] * d_variance[:, None]) / variance[:, None, None]
         now.dm[rows] = dm + d_gain * error[:, None, None] + gain[:, :, None] * d_error[:, None]
         part = d_gain[:, :, None] * pc[:, None, :, None] + gain[:, :, None, None] * dpc[:, None]

@@ -1,8 +1,8 @@
-"""Smoothed moments of nonlinear models, linearised where the smoothed means are.
+"""Smoothed moments of nonlinear models, linearised where the smoothed moments are.
 
-Where nothing is measured for long, the filter's means are far from where the later measurements show the states to have
-been, and so is its linearisation. `iterated` linearises again at the smoothed means until these are what they lead to:
-then they are the most probable path (Bell 1994, SIAM J. Optim. 4, 626: Gauss-Newton steps).
+Where nothing is measured for long, the filter's moments are far from where the later measurements show the states to
+have been, and so is its linearisation. `iterated` linearises again at the smoothed moments until these are what they
+lead to (Garcia-Fernandez, Svensson, Sarkka 2017, IEEE Trans. Signal Process. 65, 1: iterated posterior linearisation).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines.filter.engine import FilterEngine
-from gbspec.training.engines.filter.result import Filtered
+from gbspec.training.engines.filter.result import Filtered, Guess
 from gbspec.training.engines.filter.smoother import smoothed
 
 ITERATIONS, CLOSE = 30, 1e-4
@@ -24,7 +24,7 @@ def iterated(engine: FilterEngine, vector: Array, found: Filtered) -> tuple[Arra
     plain = moments = smoothed(found, engine.legs)
     if not found.finite or engine.affine:
         return plain
-    at, last = (moments[2], moments[0]), np.inf
+    at, last = _guess(moments), np.inf
     for _ in range(ITERATIONS):
         again = engine.linearised(vector, at, found.seen)
         if again.bad.any() or not np.isfinite(again.post_mean).all():
@@ -37,6 +37,14 @@ def iterated(engine: FilterEngine, vector: Array, found: Filtered) -> tuple[Arra
             return moments
         # Paths that swing from side to side are averaged.
         share = 1.0 if change < 0.5 * last else 0.5
-        at = share * moments[2] + (1 - share) * at[0], share * moments[0] + (1 - share) * at[1]
+        new = _guess(moments)
+        a, b, c, d = (share * one + (1 - share) * old for one, old in zip(new, at, strict=True))
+        at = a, b, c, d
         last = change
     return plain
+
+
+def _guess(moments: Guess) -> Guess:
+    """Moments at ends and starts, those at starts first."""
+    mean, cov, start_mean, start_cov = moments
+    return start_mean, start_cov, mean, cov

@@ -8,8 +8,11 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.training.engines.filter.layout import Layout
-from gbspec.training.engines.filter.recursion import Innovations, Kept
+from gbspec.training.engines.filter.recursion import Innovations, Kept, Moment
 from gbspec.training.problem import Integers
+
+Guess = tuple[Array, Array, Array, Array]
+"""Means [B, n] and covariances [B, n, n] at the starts of legs, and those at their ends."""
 
 
 @dataclass
@@ -45,6 +48,16 @@ class Filtered:
         d, e, f, g = (np.zeros((legs, n, n)) for _ in range(4))
         p, q, r = (np.full((rows, channels), np.nan) for _ in range(3))
         return cls(a, d, b, e, c, f, g, np.zeros(legs, dtype=np.bool_), p, q, r, log)
+
+    def moments(self, legs: Integers, end: bool = False) -> Moment:
+        """Copies of the moments at the starts of legs, or at their ends; covariances that are not finite are zero."""
+        mean, cov = (self.end_mean, self.end_cov) if end else (self.start_mean, self.start_cov)
+        return Moment(mean[legs].copy(), np.where(np.isfinite(cov[legs]), cov[legs], 0.0))
+
+    @property
+    def guess(self) -> Guess:
+        """The moments as a guess for a vector nearby."""
+        return self.start_mean, self.start_cov, self.end_mean, self.end_cov
 
     def put(self, legs: Integers, kept: Kept, a: Array, rows: Integers, innovations: Innovations) -> None:
         """Keeps what has been found at legs, and at the rows at their ends."""
