@@ -98,7 +98,7 @@ class LevenbergMarquardt:
         if self.options.evidence:
             measured = fit.measured(fit.start)
             # The same random vectors in each iteration, without which the ridge would never settle.
-            ridge, used = most_evident(engine.problem, fit.equations, measured, fit.delta, trial, ridge, 0)
+            ridge, used = evidence(engine.problem, fit.equations, measured, fit.delta, trial, ridge, 0)
             uncertain = used * noise_variance(engine.problem, measured, fit.delta, used)
             rests = rests or fit.moved(after) < self.options.spread**2 * uncertain
         # The better the linear model predicted the decrease, the less damping is needed (Nielsen 1999).
@@ -361,7 +361,7 @@ def moved(engine: Engine, theta: Array, change: Array) -> float:
     equations, weak = fit.equations, WEAK * max(float(np.mean(residuals**2)), 1e-300)
     try:
         for number in range(EVIDENCE_UPDATES):
-            equations.ridge = evidence(engine.problem, equations, residuals, delta, theta, equations.ridge, number)
+            equations.ridge, _ = evidence(engine.problem, equations, residuals, delta, theta, equations.ridge, number)
         freedom = equations.degrees_of_freedom(weak, 0)
         target = equations.root * np.concatenate([change, np.zeros(len(equations.root) - len(change))])
         move, worst = equations.respond(target, weak), 0.0
@@ -382,19 +382,6 @@ def noise_variance(problem: Problem, residuals: Array, delta: float, freedom: fl
 
 
 def evidence(
-    problem: Problem,
-    equations: NormalEquations,
-    residuals: Array,
-    delta: float,
-    theta: Array,
-    ridge: float,
-    seed: int,
-) -> float:
-    """The ridge of `most_evident`."""
-    return most_evident(problem, equations, residuals, delta, theta, ridge, seed)[0]
-
-
-def most_evident(
     problem: Problem,
     equations: NormalEquations,
     residuals: Array,

@@ -253,8 +253,8 @@ class _Profiler:
             return own
         weak = WEAK * max(float(np.mean(residuals**2)), CLEAN**2)
         for _ in range(ROUNDS):
-            at = self.begin
-            equations.ridge = evidence(problem, equations, residuals, float("inf"), at, equations.ridge, self.free.seed)
+            given = (residuals, float("inf"), self.begin, equations.ridge, self.free.seed)
+            equations.ridge, _ = evidence(problem, equations, *given)
         return equations.degrees_of_freedom(weak, self.free.seed)
 
     def _settled(self, theta: Array) -> Rest:

@@ -184,7 +184,7 @@ def _used(engine: Engine, theta: Array, ridge: float) -> Array:
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         equations = NormalEquations(system, parameters, np.ones(len(residuals)), ridge, theta)
         for number in range(ROUNDS if ridge else 0):
-            equations.ridge = evidence(problem, equations, residuals, float("inf"), theta, equations.ridge, number)
+            equations.ridge, _ = evidence(problem, equations, residuals, float("inf"), theta, equations.ridge, number)
         rng, out = np.random.default_rng([59]), np.zeros(seen.shape[1])
         for i in np.unique(channel):
             for _ in range(PROBES):
