@@ -90,12 +90,14 @@ class GrowingHorizons:
     def _compared(self, state: State, horizon: int, loss: float) -> State:
         """The state with the better one of the best vector so far and the present one, which has this loss of segments
         of this horizon."""
-        short, whole = self.losses(state["theta"])
+        news = self._scored(state["theta"])
+        return {**state, **news} if scalar(news, "score") < scalar(state, "score") else state
+
+    def _scored(self, theta: Array) -> State:
+        """The entries of the state for the best vector, with the product of its losses."""
+        short, whole = self.losses(theta)
         score = short * whole if np.isfinite([short, whole]).all() else np.inf
-        if not score < scalar(state, "score"):
-            return state
-        news = {"score": np.array(score), "short": np.array(short), "loss": np.array(whole), "best": state["theta"]}
-        return {**state, **news}
+        return {"score": np.array(score), "short": np.array(short), "loss": np.array(whole), "best": theta}
 
     def _after_horizon(self, state: State, horizon: int, outcome: Outcome) -> Outcome:
         """Goes on to the next horizon, or to the next attempt, or ends."""

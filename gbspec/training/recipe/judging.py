@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.ir import Model
 from gbspec.training.engines import residual_vector
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Reached, step_fraction
 from gbspec.training.recipe.weighing import noise_table
-from gbspec.training.recipe.whole import unmeasured
 from gbspec.training.stages import StageName
 from gbspec.training.starts import refit_starts
 
@@ -25,6 +25,11 @@ LOST = 1.0
 """Above it (R² below 0) they tell nothing."""
 FEW = 600
 """Below this number of measured values the weights have a prior from the first iteration."""
+
+
+def unmeasured(model: Model) -> bool:
+    """Whether a state is not measured by a channel of its own: measured values then tell little of its rates."""
+    return not set(range(len(model.states))) <= {channel.state for channel in model.channels}
 
 
 @dataclass(frozen=True)

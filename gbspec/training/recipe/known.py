@@ -18,14 +18,12 @@ from gbspec.training.engines import residual_table, residual_vector
 from gbspec.training.optimise import Outcome, Stage, State, huber, scalar
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe.context import Context
-from gbspec.training.recipe.growing import AS_SEGMENTS, ITERATIONS, GrowingHorizons
+from gbspec.training.recipe.growing import AS_SEGMENTS, FOLLOWED, ITERATIONS, GrowingHorizons
 from gbspec.training.recipe.planned import Decision, Planned, Reached
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts import followed
 
-FOLLOWED = 0.005
-"""A mean loss of segments below this (R² above 0.99) says that they follow the data."""
 CLEARLY = 0.1
 """Constants of segments replace those of the search if the product of two losses, of the shortest segments and of whole
 solutions, is smaller by this factor."""
@@ -56,11 +54,9 @@ class Farthest(GrowingHorizons):
 
     def begin(self, theta: Array) -> State:
         """The initial state: that of the first attempt, with the vector of the search as the best one."""
-        short, whole = self.losses(self.present)
-        news = {"best": self.present, "short": np.array(short), "loss": np.array(whole), "reach": np.array(0.0)}
-        limit = CLEARLY * short * whole
-        found: State = {"limit": np.array(limit), "score": np.array(limit), "found": np.zeros(0)}
-        return super().begin(theta) | news | found
+        state = super().begin(theta) | self._scored(self.present)
+        limit = np.array(CLEARLY * scalar(state, "score"))
+        return state | {"score": limit, "limit": limit, "reach": np.array(0.0), "found": np.zeros(0)}
 
     def _compared(self, state: State, horizon: int, loss: float) -> State:
         """The state with the better one of the best vector so far and the present one."""
@@ -69,13 +65,9 @@ class Farthest(GrowingHorizons):
         rows = float(self.horizons[horizon]) if loss < max(FOLLOWED, AS_SEGMENTS * first) else 0.0
         if rows < scalar(state, "reach"):
             return state
-        short, whole = self.losses(state["theta"])
-        score = short * whole if np.isfinite([short, whole]).all() else np.inf
+        news = self._scored(state["theta"]) | {"reach": np.array(rows)}
         highest = scalar(state, "score" if rows == scalar(state, "reach") else "limit")
-        if not score < highest:
-            return state
-        news = {"score": np.array(score), "short": np.array(short), "loss": np.array(whole), "best": state["theta"]}
-        return {**state, **news, "reach": np.array(rows)}
+        return {**state, **news} if scalar(news, "score") < highest else state
 
     def _after_horizon(self, state: State, horizon: int, outcome: Outcome) -> Outcome:
         """Goes on as with unknown functions, unless an earlier attempt found this minimum of the shortest segments."""
@@ -140,13 +132,16 @@ class SegmentsOfKnown:
 
     def _drawn(self, theta: Array) -> list[Array]:
         """The declared starting values, and the draws over the ranges that short segments follow best."""
-        parameters, learnables = self.layout, self.context.model.learnables
+        parameters, learnables, kept = self.layout, self.context.model.learnables, ATTEMPTS[self.effort] - 2
+        declared = parameters.vector(parameters.natural(theta))
+        if not kept:
+            return [declared]
         segments = Segments.of(self.context, parameters, horizons(self.context, GROWTH)[0])
         points = spread_over_ranges(learnables, sobol(DRAWS, len(learnables), self.context.seed))
         drawn = [parameters.vector(parameters.natural(theta), natural) for natural in points]
         losses = [huber(residual_vector(segments.engine, segments.vector(one, None)), 1.0) for one in drawn]
-        best = np.argsort(np.where(np.isfinite(losses), losses, np.inf), kind="stable")[: ATTEMPTS[self.effort] - 2]
-        return [parameters.vector(parameters.natural(theta)), *(drawn[i] for i in best)]
+        best = np.argsort(np.where(np.isfinite(losses), losses, np.inf), kind="stable")[:kept]
+        return [declared, *(drawn[i] for i in best)]
 
 
 ONLY_SEGMENTS = (

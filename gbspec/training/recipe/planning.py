@@ -20,13 +20,13 @@ from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
-from gbspec.training.recipe.judging import FEW, NOISE, Judged
+from gbspec.training.recipe.judging import FEW, NOISE, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
-from gbspec.training.recipe.whole import ENOUGH, ROUNDING, unmeasured, whole_of_exact_data
+from gbspec.training.recipe.whole import ENOUGH, ROUNDING, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 

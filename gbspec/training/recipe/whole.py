@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from gbspec.arrays import Array
-from gbspec.ir import Model
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Stage
 from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.judging import unmeasured
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
 from gbspec.training.stages import Effort, StageName, most_iterations
 
@@ -24,11 +24,6 @@ deviations)."""
 ROUNDING = 1e-15
 """The same for whole solutions: where few rows tell of an unmeasured state, the error of its rates is thousands of
 times these residuals (two tanks: 3 % at a loss of 7e-11, 0.2 % at 3e-15)."""
-
-
-def unmeasured(model: Model) -> bool:
-    """Whether a state is not measured by a channel of its own: measured values then tell little of its rates."""
-    return not set(range(len(model.states))) <= {channel.state for channel in model.channels}
 
 
 def whole_of_exact_data(
