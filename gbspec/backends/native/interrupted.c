@@ -70,7 +70,7 @@ static void try_part(Control *c, const Crossing *q, const real *x, double size) 
     c->tried[0] = size;
 }
 
-static void interrupt(Control *c) {
+static void attempt(Control *c) {
     Work *w = c->w;
     real before[STATES], x[STATES], end[STATES];
     double wait[EVENTS], ratio = 0;

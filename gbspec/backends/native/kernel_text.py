@@ -95,7 +95,8 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     # Only least-squares fits need the Jacobian, and they run in double precision.
     jacobian = "sensitivities" if model.delays else "jacobian"
     after += ["trained", jacobian] if precision == "float64" else []
-    after += ["control", *(["interrupted"] if model.events else [])] if _plans(model, precision, method) else []
+    if _plans(model, precision, method):
+        after += ["control", "interrupted" if model.events else "side_by_side"]
     own = [*_equations(model, rhs, observe), *late.lines, *events.functions(model, _places(RHS_PLACES))]
     parts = [*map(_text, before), *table_functions(model.tables), *own, *map(_text, after)]
     return Source(
