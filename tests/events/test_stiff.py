@@ -91,12 +91,13 @@ def slopes_along(engine: Engine, theta: Array, direction: Array, h: float) -> tu
     return jacobian @ direction, total / (12 * h)
 
 
-@pytest.mark.parametrize("method", ["ros34pw2", "dopri5"])
-@pytest.mark.parametrize("name", ["ball", "thermostat", "relay"])
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [*((name, "ros34pw2") for name in ("ball", "thermostat", "relay")), ("ball", "dopri5"), ("thermostat", "dopri5")],
+)
 def test_derivatives_are_those_of_the_steps_taken(name: str, method: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On steps that were planned at another vector, so that events lie anywhere within them."""
-    if name == "relay" and method == "dopri5":
-        pytest.skip("stiff")
+    """On steps that were planned at another vector, so that events lie anywhere within them; not by an explicit method
+    where the model is stiff."""
     problem, parameters, theta = case(name, method, 1e-3)
     engine = engines_of(problem, parameters)[1]
     path = engine.plan(theta)

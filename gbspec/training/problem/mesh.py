@@ -59,8 +59,8 @@ class Steps:
     """The steps in the cells of a path [A], in any order between cells and in the order of time within one.
 
     `owner`, `cell`: trajectory and sub-step of the path; `begin`, `length`: after the cell's start (NaN: there is no
-    solution); `lu` [A, n, n] and `pivots` [A, n] as in `Factors`, with no entries [A, 0, 0]
-    for methods without matrices.
+    solution); `lu` [A, n, n] and `pivots` [A, n] as in `Factors`, with no entries
+    [A, 0, 0] for methods without matrices.
     """
 
     owner: Integers

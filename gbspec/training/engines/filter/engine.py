@@ -195,7 +195,8 @@ class FilterEngine:
     def _search(self, vector: Array, seen: Mask | None, guess: Guess | None) -> Search:
         """The search of the moments at a vector, from a guess."""
         theta, log_sd = self.layout.split(vector)
-        at, start = At.of(self.layout, theta), self.start(At.of(self.layout, theta))
+        at = At.of(self.layout, theta)
+        start = self.start(at)
         rows, channels = self.noise.value.shape
         found = Filtered.empty(len(self.legs.owner), len(self.scale), rows, channels, self.noise.log)
         if guess is not None and all(np.isfinite(table).all() for table in guess):

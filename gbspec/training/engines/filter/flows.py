@@ -12,7 +12,7 @@ points of the distribution there, with P = A P A' + (A + 1) t S S' (A + 1)' / 4 
 
 by Simpson's rule, with A(h, h/2) from the cubic through the values and slopes of A(h, s) at both ends (A and -A F at
 the start, 1 and -F at the end). These are sums of squares, and so positive whatever the step. With `rk4` the order is 4
-where f is linear, else 3 (2 where the disturbances depend on the state).
+where f is linear, else 3 (2 where the disturbances depend on the state otherwise than in proportion to it).
 """
 
 from __future__ import annotations
