@@ -41,7 +41,9 @@ DESIGN = {
     "friction_oscillator": (60.0, 0.25, 0.05),
 }
 """Span, interval and noise of a set: that of `process` lasts 200 relaxation times."""
-ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_clouds", "flexhouse_aperture")
+ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_clouds", "flexhouse_aperture", "flexhouse_switches")
+SWITCH, LONGEST = 2.5, 0.67
+"""A change of the heater's power by more is a switch (kW); times since the last one are at most so long (h)."""
 FIELDS = ("model", "set", "constant", "truth", "value", "sd", "low", "high", "seconds")
 HARES = """model hare_lynx_disturbed "Hare and lynx, Lotka and Volterra, both disturbed"
 time year
@@ -161,10 +163,10 @@ def rooms(data: Path, out: Path, names: Iterable[str]) -> None:
     from gbspec.training import TrainOptions, filter_run, train
     from gbspec.training.engines import FilterEngine
 
-    document = {}
+    document, rows = {}, switches(data / "flexhouse.csv", out / "flexhouse.csv")
     for name in names:
         model = load_model(HERE / f"{name}.gb", Findings())
-        table = read(data / "flexhouse.csv", model, Findings())
+        table = read(rows, model, Findings())
         place = out / name
         run = open_run(place) if (place / "fit.json").is_file() else train(model, table, TrainOptions(), place)
         filtered, tested = filter_run(run, table, 0), filter_run(run, table, 0).whiteness(0)
@@ -180,12 +182,30 @@ def rooms(data: Path, out: Path, names: Iterable[str]) -> None:
             "likelihood": -filtered.found.value,
             "narrow": _best_start(narrow, filtered.vector, filtered),
             "p": None if tested is None else tested.p,
+            "robust_p": None if tested is None else tested.robust_p,
             "periodogram_p": None if tested is None else tested.distance_p,
             "parameters": run.fit.members[0].likelihood.parameters if run.fit.members[0].likelihood else None,
             "seconds": run.fit.members[0].seconds,
             "constants": {key: one.value for key, one in run.fit.constants.items()},
         }
     (out / "flexhouse.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+
+
+def switches(source: Path, out: Path) -> Path:
+    """The table with the time since the heater's last switch (`since`) and the mean of the sun at the ends of each
+    interval (`Pm`)."""
+    rows = rows_of(source)
+    since, power = -LONGEST, float(rows[0]["Ph"])
+    for row, following in zip(rows, [*rows[1:], rows[-1]], strict=True):
+        time, now = float(row["t"]), float(row["Ph"])
+        since, power = time if abs(now - power) > SWITCH else since, now
+        row["since"] = f"{min(time - since, LONGEST):.6g}"
+        row["Pm"] = f"{(float(row['Ps']) + float(following['Ps'])) / 2:.7g}"
+    with out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return out
 
 
 def _best_start(engine: object, vector: np.ndarray, filtered: object) -> float:
@@ -299,20 +319,23 @@ def _rooms_table(out: Path) -> list[str]:
     lines[-1] += (
         "variance of the start, and with that of one interval (P0 = s^2 dt, at least 1e-6) around the smoothed "
     )
-    lines[-1] += "start; probabilities of the innovations' Ljung-Box statistic (20 lags) and cumulated periodogram."
+    lines[-1] += (
+        "start; probabilities of the innovations' Ljung-Box statistic (20 lags; robust: where variances "
+        "change in time) and cumulated periodogram."
+    )
     lines += [
         "",
-        "| model | parameters | log likelihood | with narrow P0 | Ljung-Box p | periodogram p | Ci | Ce | Rie ",
+        "| model | parameters | log likelihood | with narrow P0 | Ljung-Box p | robust p | periodogram p | Ci | Ce ",
     ]
-    lines[-1] += "| Rea | wall s |"
-    lines += ["|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
+    lines[-1] += "| Rie | Rea | wall s |"
+    lines += ["|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
     for name, one in found.items():
         values = " | ".join(
             f"{one['constants'][key]:.3g}" if key in one["constants"] else "-" for key in ("Ci", "Ce", "Rie", "Rea")
         )
         lines.append(
             f"| {name} | {one['parameters']} | {one['likelihood']:.1f} | {one['narrow']:.1f} | {one['p']:.2g} "
-            f"| {one['periodogram_p']:.2g} | {values} | {one['seconds']:.0f} |"
+            f"| {one['robust_p']:.2g} | {one['periodogram_p']:.2g} | {values} | {one['seconds']:.0f} |"
         )
     return lines
 

@@ -143,8 +143,9 @@ class ChannelRecord:
 class WhitenessRecord:
     """Tests of a channel's standardised innovations, which are independent and standard normal if the model is right.
 
-    `ljung_box` is the statistic of their first `lags` autocorrelations, `p` its probability under independence;
-    `periodogram` the largest distance of the cumulated periodogram from the diagonal, `periodogram_p` its probability.
+    `ljung_box` is the statistic of their first `lags` autocorrelations, `p` its probability under independence,
+    `robust_p` the probability where values are uncorrelated and their variance changes in time; `periodogram` the
+    largest distance of the cumulated periodogram from the diagonal, `periodogram_p` its probability.
     """
 
     values: int
@@ -153,6 +154,7 @@ class WhitenessRecord:
     p: float | None
     periodogram: float | None
     periodogram_p: float | None
+    robust_p: float | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.backends import Evaluator
 from gbspec.data import SimulateOptions, Trajectories, read
 from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
@@ -183,6 +184,41 @@ def test_white_and_coloured_series_are_told_apart() -> None:
         assert (found.p > 0.01) == expected
         assert (found.distance_p > 0.01) == expected
     assert whiteness([white[:5]]) is None
+
+
+def test_changing_variance_alone_does_not_make_a_series_coloured() -> None:
+    rng = np.random.default_rng(1)
+    size = np.where(np.arange(2000) // 20 % 20, 0.1, 3.0)
+    rejected = []
+    for _ in range(40):
+        series = size * rng.standard_normal(2000)
+        found = whiteness([series])
+        assert found is not None
+        rejected.append((found.p < 0.05, found.robust_p < 0.05))
+    shares = np.mean(rejected, axis=0)
+    assert shares[0] > 0.3
+    assert shares[1] < 0.15
+    coloured = whiteness([np.convolve(series, [1, 0.8, 0.5], mode="valid")])
+    assert coloured is not None
+    assert coloured.robust_p < 0.01
+
+
+SENSOR = PROCESS.replace("observe X", "input u held\nobserve y = X + bias(u)").split("truth")[0]
+SENSOR += "unknown bias(u in [0, 1])\n    = 0.004*nn\n    by mlp(6)\n"
+
+
+def test_a_function_that_shows_only_where_noises_are_small_is_learned(tmp_path: Path) -> None:
+    model = model_in(tmp_path, SENSOR)
+    rng, x, step = np.random.default_rng(4), -1.0, 0.05
+    a, lines, u = np.exp(-step), ["t,y,u"], rng.uniform(size=300)
+    for k in range(300):
+        lines.append(f"{k * step:.2f},{x + 0.004 * np.sin(6 * u[k]) + 0.0002 * rng.standard_normal():.6f},{u[k]:.6f}")
+        x = 1 + a * (x - 1) + 0.005 * np.sqrt((1 - a * a) / 2) * rng.standard_normal()
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    run = train(model, read(tmp_path / "d.csv", model, Findings()), FAST, tmp_path / "run")
+    at = np.linspace(0.05, 0.95, 19)
+    off = Evaluator(run.member(0)).functions_many("bias", at[:, None]).ravel() - 0.004 * np.sin(6 * at)
+    assert np.std(off) < 0.0004  # a constant cannot be told from the level of the process
 
 
 def test_a_run_is_read_again(fitted: tuple[Run, Trajectories]) -> None:

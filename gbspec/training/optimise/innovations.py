@@ -28,6 +28,11 @@ LONGEST = 0.7
 weight it is 2."""
 SMALL = 1e-4
 """The stage ends when two steps raise the log likelihood by less: constants are then within hundredths of their sd."""
+SETTLED = 1.0
+"""Weights' prior is estimated from iterations that raise the log likelihood by less. Far from the maximum noises and
+disturbances are still so large that no function shows: the prior would shrink weights to nothing, and stay."""
+FIRST = 1e-2
+"""The first precision of weights, over that of their first values."""
 SCALES = ((1.0, 0.0), (0.1, -2.0))
 """Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
 STARTS, ROUND = 3, 8
@@ -96,7 +101,9 @@ class InnovationsFit:
         """The state at a vector of the likelihood."""
         theta, log_sd = self.engine.layout.split(vector)
         weights = theta[: self.engine.parameters.n_weights]
-        ridge = len(weights) / max(float(weights @ weights), 1e-12) if self.precision is None else self.precision
+        ridge = (
+            FIRST * len(weights) / max(float(weights @ weights), 1e-12) if self.precision is None else self.precision
+        )
         return {
             "theta": theta,
             "log_sd": log_sd,
@@ -163,7 +170,7 @@ class InnovationsFit:
             return Outcome(state, system.found.value / count, True)
         gain = (system.value - value) / max(predicted, 1e-300)
         theta, log_sd = engine.layout.split(trial)
-        if self.precision is None and engine.parameters.n_weights:
+        if self.precision is None and engine.parameters.n_weights and system.value - value < SETTLED:
             ridge = self._evidence(system, trial, ridge)
         small = small + 1 if min(system.value - value, predicted) < SMALL * max(1.0, 1e-3 * abs(value)) else 0.0
         new: State = {

@@ -169,6 +169,7 @@ def _whiteness(engine: FilterEngine, found: Filtered) -> dict[str, WhitenessReco
                 finite(tested.p),
                 finite(tested.distance),
                 finite(tested.distance_p),
+                finite(tested.robust_p),
             )
     return out
 

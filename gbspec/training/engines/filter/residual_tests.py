@@ -19,12 +19,14 @@ LEAST = 8
 class Whiteness:
     """The autocorrelations of a series [lags], with the Ljung-Box statistic and its probability, and the cumulated
     periodogram [frequencies] with its largest distance from the diagonal and the probability of this distance (that of
-    Kolmogorov and Smirnov)."""
+    Kolmogorov and Smirnov). `robust_p` is the probability of the statistic where the variance changes in time (Diebold
+    1986): uncorrelated values whose squares are correlated have larger autocorrelations than independent ones."""
 
     values: int
     autocorrelations: Array
     ljung_box: float
     p: float
+    robust_p: float
     cumulated: Array
     distance: float
     distance_p: float
@@ -42,10 +44,23 @@ def whiteness(series: list[Array]) -> Whiteness | None:
     r = np.array([sum(float(s[k:] @ s[:-k]) for s in usable if len(s) > k) for k in range(1, lags + 1)])
     pairs = np.array([sum(max(len(s) - k, 0) for s in usable) for k in range(1, lags + 1)])
     r = r / squares if squares > 0 else r * np.nan
-    statistic = float(count * (count + 2) * np.sum(r**2 / np.maximum(pairs, 1)))
+    terms = count * (count + 2) * r**2 / np.maximum(pairs, 1)
+    statistic, robust = float(np.sum(terms)), float(np.sum(terms * _shares(usable, lags)))
+    p, robust_p = (float(stats.chi2.sf(value, lags)) for value in (statistic, robust))
     cumulated = _cumulated(usable)
     distance, probability = _distance(cumulated)
-    return Whiteness(count, r, statistic, float(stats.chi2.sf(statistic, lags)), cumulated, distance, probability)
+    return Whiteness(count, r, statistic, p, robust_p, cumulated, distance, probability)
+
+
+def _shares(series: list[Array], lags: int) -> Array:
+    """What independent values of the same variance would have of the variance of each autocorrelation [lags]: s⁴ over
+    s⁴ + the autocovariance of the squares."""
+    count = sum(len(s) for s in series)
+    variance = sum(float(s @ s) for s in series) / count
+    squares = [s**2 - variance for s in series]
+    covariance = np.array([sum(float(q[k:] @ q[:-k]) for q in squares if len(q) > k) for k in range(1, lags + 1)])
+    # A negative covariance would raise the statistic, by what few values show of it.
+    return np.asarray(variance**2 / (variance**2 + np.maximum(covariance / count, 0.0)), dtype=np.float64)
 
 
 def _cumulated(series: list[Array]) -> Array:
