@@ -89,6 +89,7 @@ class SplineCores(Cores):
         an argument."""
         if output not in self._extra:
             self._extra[output] = [self.gate() for size in self.sizes for _ in range(size - 3)]
+            self.extra += tuple(self._extra[output])
         places = [(self._place(point, i), k) for i, size in enumerate(self.sizes) for k in range(size - 3)]
         free = [self._raw(self.formals, gate) for gate in self._extra[output]]
         return sympy.Add(*(raw * _bump(2 * (u - k) - 1) for raw, (u, k) in zip(free, places, strict=True)))

@@ -31,7 +31,7 @@ TWO = """
 model s
 state a in [0, 3]
 state b in [0, 2]
-unknown f, h(a) >= 0 by spline(7)
+unknown f, h(a) >= 0, zero at a = 0, increasing in a by spline(7)
 unknown g(a, b) by spline(5, 6)
 a' = 1 - f
 b' = 0.5 - b + 0.1*g + 0.2*h
@@ -118,4 +118,4 @@ def test_the_finer_model_begins_with_the_same_functions(index: int) -> None:
     moved = wide.copy()
     moved[_places(layout, finer.networks[index], extra)] = 0.1
     assert np.abs(residual_vector(engine, moved) - before).max() > 1e-4
-    assert len(extra) == (2 * 4, 2 + 3)[index]
+    assert len(extra) == (2 * 2 * 4, 2 + 3)[index]  # two splines for each function with a zero

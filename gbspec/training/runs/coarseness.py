@@ -75,20 +75,15 @@ def _finer(model: Model, index: int) -> Model:
 
 def _weights(parameters: Parameters, theta: Array, model: Model, index: int) -> tuple[dict[str, Array], Integers]:
     """All arrays of the finer model with the same functions, and which of the spline's biases are additional."""
-    old, new = parameters.model.networks[index], model.networks[index]
-    weights = parameters.natural(theta)
-    outputs, each, more = len(old.outputs), prod(old.spline) - 1, sum(size - 3 for size in old.spline)
-    gates = np.arange(outputs * (each + more)).reshape(outputs, each + more)
-    kept = np.concatenate([np.arange(outputs), outputs + gates[:, :each].ravel()])
-    name = f"network.{old.name}"
-    for array, empty in ((f"{name}.0.weight", 0.0), (f"{name}.0.bias", 0.0), (f"{name}.output_scale", 1.0)):
-        given = weights[array]
-        weights[array] = np.full((new.sizes[-1], *given.shape[1:]), empty)
-        weights[array][kept] = given
-    given = weights[f"{name}.output_center"]
-    weights[f"{name}.output_center"] = np.zeros(new.sizes[-1])
-    weights[f"{name}.output_center"][kept] = given
-    return weights, outputs + gates[:, each:].ravel()
+    network, weights = model.networks[index], parameters.natural(theta)
+    size, extra = network.sizes[-1], np.array(network.extra, dtype=np.int64)
+    kept = np.setdiff1d(np.arange(size), extra)
+    for array in ("0.weight", "0.bias", "output_scale", "output_center"):
+        name = f"network.{network.name}.{array}"
+        given = weights[name]
+        weights[name] = np.full((size, *given.shape[1:]), float(array == "output_scale"))
+        weights[name][kept] = given
+    return weights, extra
 
 
 def _places(parameters: Parameters, network: Network, biases: Integers) -> Integers:
