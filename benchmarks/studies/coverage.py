@@ -54,7 +54,7 @@ def one_set(name: str, noise: float, seed: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as place:
         run = fitting.fit(model, data, Path(place) / "run", TrainOptions(threads=1, seed=seed))
         truths = {k.name: k.value for k in models.reference(model).model.constants}
-        rows = [row("function", *entries) for entries in _functions(run, seed)]
+        rows = [row("function", *entries) for entries in functions(run, seed)]
         for constant, found in run.fit.constants.items():
             low, high = found.interval or (math.nan, math.nan)
             truth = truths[constant]
@@ -63,7 +63,7 @@ def one_set(name: str, noise: float, seed: int) -> list[Row]:
     return rows
 
 
-def _functions(run: Run, seed: int) -> Iterable[tuple[str | float, ...]]:
+def functions(run: Run, seed: int) -> Iterable[tuple[str | float, ...]]:
     """For each function its name, rms truth, rms error, mean sd, and the share of points whose band has the truth."""
     from gbspec.analysis.systems import fences, function_bands
     from gbspec.report.unknowns import truth_of

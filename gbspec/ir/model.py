@@ -190,6 +190,10 @@ class Network:
     """The numbers of coefficients in each argument if it is a spline: these are its biases, and it has no layers."""
     smooth: tuple[int, ...] = ()
     """The biases of a spline with a prior: the second differences of its coefficients."""
+    between: bool = False
+    """Whether a spline has in addition what half the distance of its knots would add, by which its size is judged."""
+    extra: tuple[int, ...] = ()
+    """The biases of what it has in addition."""
     cyclic: tuple[int, ...] = ()
     """The arguments in whose place contracts give it a cosine, which needs no scale from the data."""
 

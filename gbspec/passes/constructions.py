@@ -45,6 +45,7 @@ class Construction:
     evaluations: tuple[tuple[Expr, ...], ...]
     gates: int = 0
     smooth: tuple[int, ...] = ()
+    extra: tuple[int, ...] = ()
 
 
 class Builder:
@@ -94,9 +95,9 @@ class Builder:
         """The construction with this value."""
         up, bend = demands.directions, demands.shapes.curvatures
         if self.network.spline:  # the arguments enter by the basis alone
-            return Construction(
-                value, "0" * len(self.formals), tuple(self.cores.evaluations), self.cores.gates, self.cores.smooth
-            )
+            cores = self.cores
+            constant = "0" * len(self.formals)
+            return Construction(value, constant, tuple(cores.evaluations), cores.gates, cores.smooth, cores.extra)
         kind = "".join(kind_of(up.get(i, 0), bend.get(i, 0)) for i in range(len(self.formals)))
         return Construction(value, kind, tuple(self.cores.evaluations), self.cores.gates)
 

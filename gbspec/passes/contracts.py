@@ -44,7 +44,8 @@ def with_contracts(model: Model, findings: Findings) -> Model:
         if cyclic is None:
             continue
         smooth = tuple(place for plan in plans for place in plan.built.smooth)
-        networks[index] = replace(network, layout=arranged, smooth=smooth, cyclic=cyclic)
+        extra = tuple(place for plan in plans for place in plan.built.extra)
+        networks[index] = replace(network, layout=arranged, smooth=smooth, extra=extra, cyclic=cyclic)
         for unknown, plan in zip(outputs, plans, strict=True):
             unknowns[model.unknowns.index(unknown)] = replace(unknown, form=plan.form())
     return replace(model, networks=tuple(networks), unknowns=tuple(unknowns))

@@ -24,6 +24,7 @@ class Cores:
         self.formals, self.first_gate, self.gates = tuple(formals), first_gate, 0
         self.shapes = Shapes()
         self.smooth: tuple[int, ...] = ()
+        self.extra: tuple[int, ...] = ()
         self.evaluations: list[tuple[Expr, ...]] = []
         self._partners: dict[tuple[int, int], int] = {}
 

@@ -2,6 +2,7 @@ from .adam import Adam as Adam
 from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
 from .curvature import covariance as covariance
+from .curvature import lack_of_fit as lack_of_fit
 from .curvature import log_evidence as log_evidence
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory

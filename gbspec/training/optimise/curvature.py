@@ -27,6 +27,8 @@ DENSE, RANK = 1200, 384
 """With more weights, this many leading eigenvectors are computed by Nystroem's approximation."""
 NEGLIGIBLE = 1e-3
 """Eigenvectors along which the data reduce the prior's variance by less than this fraction are not stored."""
+UNTOLD = 1e-6
+"""Extra weights of which the data tell less than this fraction apart from all others are left out of a test."""
 FIXED_POINT = 100
 """Iterations of the evidence's fixed point."""
 
@@ -74,16 +76,57 @@ def log_evidence(engine: Engine, theta: Array) -> float | None:
     return 0.5 * (shrinking - misfit / variance - (reduced.count - others) * float(np.log(variance)))
 
 
+def lack_of_fit(engine: Engine, theta: Array, extra: Integers) -> tuple[float, float, float] | None:
+    """The score test of the weights `extra`, which are 0 at `theta`: the fraction of the sum of squares that the best
+    of them would remove, and the degrees of freedom of the numerator and denominator of its F; None if not known.
+
+    All other parameters move along, under their priors and the ridge of the evidence: with y normal around A w, and w
+    normal under its prior, the scores of the extra weights have the covariance of the Schur complement (Rao 1948).
+    """
+    n, total = engine.parameters.n_weights, engine.parameters.n_shared
+    if int(engine.problem.seen.sum()) * total > LARGEST or n > DENSE:
+        return None
+    system = linearise(engine, theta)
+    if not bool(np.isfinite(system.residuals.numpy()).all()):
+        return None
+    try:
+        reduced = _Reduced.of(engine, system, theta)
+        matrix, gradient = reduced.matrix(), reduced.gradient()
+        kept = np.setdiff1d(np.arange(total), extra)
+        weights, rest = kept[kept < n], kept[kept >= n]
+        block = matrix[np.ix_(rest, rest)] + reduced.weak * np.eye(len(rest))
+        wide = matrix[np.ix_(weights, rest)]
+        values = np.linalg.eigvalsh(matrix[np.ix_(weights, weights)] - wide @ np.linalg.solve(block, wide.T))
+        others = reduced.used + len(rest)
+        ridge, _ = _evidence(reduced, np.maximum(values, 0.0), theta[weights], others)
+        matrix[weights, weights] += ridge
+        matrix[rest, rest] += reduced.weak
+        gradient[weights] += ridge * theta[weights]
+        across = np.linalg.solve(matrix[np.ix_(kept, kept)], matrix[np.ix_(kept, extra)])
+        unit = 1 / np.sqrt(np.maximum(np.diag(matrix)[extra], 1e-300))
+        left = matrix[np.ix_(extra, extra)] - matrix[np.ix_(extra, kept)] @ across
+        score = unit * (gradient[extra] - across.T @ gradient[kept])
+        sizes, vectors = np.linalg.eigh(unit[:, None] * left * unit)
+    except np.linalg.LinAlgError:
+        return None
+    told = sizes > UNTOLD
+    gain = float(np.sum((vectors[:, told].T @ score) ** 2 / sizes[told]))
+    effective = float(np.sum(np.maximum(values, 0.0) / (np.maximum(values, 0.0) + ridge)))
+    count = float(told.sum())
+    return gain / max(reduced.squares, 1e-300), count, reduced.count - others - effective - count
+
+
 @dataclass(frozen=True)
 class _Reduced:
     """The normal matrix of the shared columns [m, n] after elimination of the trajectories' own.
 
     `squares` is the sum of squared residuals, `count` their number (as much as each counts), `used` the degrees of
     freedom of own columns. `shared` and, for each trajectory, `thin` [r, n_local] have the matrix
-    A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T.
+    A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T. `rows` [m] are the residuals, of priors too.
     """
 
     shared: Array
+    rows: Array
     thin: tuple[tuple[Integers, Array], ...]
     squares: float
     count: float
@@ -113,11 +156,17 @@ class _Reduced:
         squares = float(np.sum(weights * measured**2))
         shared = rows.shared.numpy()
         shared *= root[:, None]  # in place, as it may be large
-        return cls(shared, tuple(thin), squares, engine.problem.information, used, weak)
+        return cls(shared, rows.residuals.numpy() * root, tuple(thin), squares, engine.problem.information, used, weak)
 
     def times(self, columns: Array) -> Array:
         """The product [n, k] of the matrix with `columns` [n, k]."""
-        rows = self.shared @ columns
+        return self._transposed(self.shared @ columns)
+
+    def gradient(self) -> Array:
+        """The gradient [n] of half the sum of squares, priors included."""
+        return self._transposed(self.rows.copy())
+
+    def _transposed(self, rows: Array) -> Array:
         for here, thin in self.thin:
             rows[here] -= thin @ (thin.T @ rows[here])
         return np.asarray(self.shared.T @ rows, dtype=np.float64)

@@ -28,8 +28,9 @@ LEAST_NOISE = 1e-6
 """Lower bound of the noise: with exact data a prior matters only for what they do not determine, but must not
 vanish."""
 
-SMOOTH = 1.0
-"""The prior standard deviation of second differences of a spline's coefficients, in units of the function's scale."""
+SMOOTH = 10.0
+"""The prior standard deviation of the biases of splines that are second differences (`gbspec.passes.splines`): wide,
+since where data are noisy the ridge of the evidence estimates it. It fills places without data by straight lines."""
 
 
 def prior_sd(prior: Prior) -> float:

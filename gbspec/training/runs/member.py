@@ -33,6 +33,7 @@ from gbspec.training.recipe import (
     said_of_switches,
     step_fraction,
 )
+from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.populations import with_population
@@ -354,6 +355,7 @@ class _Runner:
             known = known.widened(factor)
             known.write(self.directory)
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
+            result.left += said_of_splines(self.context, self.parameters, position.best, names)
             if self.context.model.events:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)
