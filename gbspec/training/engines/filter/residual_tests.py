@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc, kolmogorov
 
 from gbspec.arrays import Array
 
@@ -45,7 +45,7 @@ def whiteness(series: list[Array]) -> Whiteness | None:
     statistic = float(count * (count + 2) * np.sum(r**2 / np.maximum(pairs, 1)))
     cumulated = _cumulated(usable)
     distance, probability = _distance(cumulated)
-    return Whiteness(count, r, statistic, float(stats.chi2.sf(statistic, lags)), cumulated, distance, probability)
+    return Whiteness(count, r, statistic, float(chdtrc(lags, statistic)), cumulated, distance, probability)
 
 
 def _cumulated(series: list[Array]) -> Array:
@@ -72,4 +72,4 @@ def _distance(cumulated: Array) -> tuple[float, float]:
         return float("nan"), float("nan")
     diagonal = np.arange(1, m + 1) / m
     distance = float(np.max(np.abs(cumulated - diagonal)))
-    return distance, float(stats.kstwobign.sf(distance * np.sqrt(m - 1)))
+    return distance, float(kolmogorov(distance * np.sqrt(m - 1)))
