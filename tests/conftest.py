@@ -55,6 +55,14 @@ def _backend_by_size() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def _no_waiting_for_the_disk() -> Iterator[None]:
+    """Nothing that a test can see depends on what a disk has after the power fails."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def _few_replicates() -> Iterator[None]:
     """Predictive checks of populations simulate few data sets: they are seldom what is tested."""
     with pytest.MonkeyPatch.context() as patch:
