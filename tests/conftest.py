@@ -77,6 +77,13 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _cheap_kernels(kernels: Path) -> Iterator[None]:
+    """The compiler spends most of its time on optimisations; tests/backends/test_native.py has kernels with them."""
+    with quick.kernels(kernels):
+        yield
+
+
 @pytest.fixture(scope="module")
 def quick_fits(kernels: Path) -> Iterator[None]:
     """Fits by the compiled kernel in a whole file of tests, the fixtures of the file among them."""
