@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -158,7 +158,7 @@ class Bijections:
     @staticmethod
     def of(learnables: tuple[Learnable, ...]) -> Bijections:
         """The maps of a model's learnables."""
-        return Bijections(tuple(map(Bijection.of, learnables)))
+        return _together(tuple(map(Bijection.of, learnables)))
 
     @cached_property
     def _scales(self) -> Array | None:
@@ -205,3 +205,9 @@ class Bijections:
         for i, one in enumerate(self.each):
             out[..., i] = one.raw(value[..., i]) / STRETCH
         return out
+
+
+@lru_cache(maxsize=64)
+def _together(each: tuple[Bijection, ...]) -> Bijections:
+    """The same maps are asked for in every step of a warm start."""
+    return Bijections(each)
