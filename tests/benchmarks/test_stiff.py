@@ -13,7 +13,7 @@ from gbspec.training.engines.objective import objective
 
 @pytest.fixture(scope="module", params=[None, 4])
 def work(request: pytest.FixtureRequest) -> StiffWork:
-    return make(request.param, trajectories=1, rows=8)
+    return make(request.param, trajectories=2, rows=8)
 
 
 def test_the_tolerance_with_the_nearest_error_is_taken() -> None:

@@ -132,7 +132,9 @@ def test_derivatives_are_exact_and_the_same_by_kernel_and_graph(
     compare(problem, parameters, theta, ("float64",))
     found = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.autograd.functional.jacobian(
-        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
+        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals),
+        torch.from_numpy(theta),
+        vectorize=True,
     )
     assert float((found - expected).abs().max()) < 1e-10 * float(expected.abs().max())
 

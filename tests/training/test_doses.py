@@ -99,7 +99,9 @@ def test_the_jacobian_of_doses_is_exact(blend: float) -> None:
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.13, blend=blend)
     found = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.autograd.functional.jacobian(
-        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
+        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals),
+        torch.from_numpy(theta),
+        vectorize=True,
     )
     assert float((found - expected).abs().max()) < 1e-10 * float(expected.abs().max())
     h = 1e-6
