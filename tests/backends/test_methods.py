@@ -30,7 +30,6 @@ from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import predicted
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
-from tests import quick
 from tests.backends.same_kernel import compare
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of
 from tests.training.reference import kernel_residuals, linearise, measured_residuals, unroll, whole_jacobian
@@ -56,14 +55,13 @@ FEWER = [*METHODS, RALSTON.name]
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch, kernels: Path) -> Iterator[None]:
+def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Adds two methods by an entry each."""
     for method in (RALSTON, EULER):
         monkeypatch.setitem(METHODS, method.name, method)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    with quick.kernels(kernels):
-        yield
+    yield
     torch.set_num_threads(threads)
 
 

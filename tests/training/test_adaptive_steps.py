@@ -23,7 +23,6 @@ from gbspec.training.engines.torch.planning import planned
 from gbspec.training.problem.mesh import Control
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
-from tests import quick
 from tests.backends.same_kernel import compare
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, trajectory
 from tests.training.reference import linearise, measured_residuals, unroll, whole_jacobian
@@ -195,9 +194,3 @@ def test_where_there_is_no_solution_there_are_no_numbers(name: str, blend: float
         assert found[1] == pytest.approx(2.0, rel=1e-3), "1/(1 - t)"
         assert not np.isfinite(found[2]), "the solution ends at t = 1, and at 1 again after t = 0.5"
         assert np.isfinite(found[3]) == (blend == 1.0), "it begins anew where it is replaced"
-
-
-@pytest.fixture(autouse=True)
-def _kept_kernels(kernels: Any) -> Any:
-    with quick.kernels(kernels):
-        yield
