@@ -155,7 +155,7 @@ def reason(error: Exception) -> str:
 
 def chosen(work: StiffWork, target: float, names: tuple[str, ...]) -> tuple[dict[str, Chosen], list[str]]:
     """All solvers at their tolerances, and why others have no gradient; those whose library is missing are skipped."""
-    exact, failed = work.exact(), []
+    exact, failed = work.exact, []
     found = {OURS: ours(work, exact, target)}
     for name in names:
         try:

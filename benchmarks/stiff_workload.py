@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -100,6 +100,7 @@ class StiffWork:
             return float("inf")
         return float((np.abs(states - exact) / (np.abs(exact) + self.floor * self.scale)).max())
 
+    @cached_property
     def exact(self) -> Array:
         """The solution [N, T, 3] at the vector, by scipy's Radau method."""
         module = load_module(self.problem.model, STIFF)(self.parameters.natural(self.theta) | self.module_scales())

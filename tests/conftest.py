@@ -55,6 +55,14 @@ def _backend_by_size() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def _no_waiting_for_the_disk() -> Iterator[None]:
+    """Nothing that a test can see depends on what a disk has after the power fails."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def _few_replicates() -> Iterator[None]:
     """Predictive checks of populations simulate few data sets: they are seldom what is tested."""
     with pytest.MonkeyPatch.context() as patch:
@@ -67,6 +75,13 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the kernels that the tests compile, shared by the processes that run them."""
     base = tmp_path_factory.getbasetemp()
     return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _cheap_kernels(kernels: Path) -> Iterator[None]:
+    """The compiler spends most of its time on optimisations; tests/backends/test_native.py has kernels with them."""
+    with quick.kernels(kernels):
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -14,12 +14,28 @@ FLAGS = ["-std=gnu11", "-Og", "-Dalways_inline=unused", "-shared", "-fPIC"]
 1.8 s). Without any it takes 0.1 s less, but networks are then evaluated at half the speed."""
 
 
+_USERS: list[Callable[[], list[list[str]]]] = []
+"""What gives the flags of users, first."""
+
+
 @contextmanager
 def kernels(folder: Path) -> Iterator[None]:
     """Kernels are compiled with `FLAGS`, into `folder`."""
+    from gbspec.backends.native import compiler
+
+    _USERS.append(compiler._flag_sets)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GBSPEC_CACHE", str(folder))
         patch.setattr("gbspec.backends.native.compiler._flag_sets", lambda: [FLAGS])
+        patch.setattr("gbspec.training.engines.native.kernel._kernels", {})
+        yield
+
+
+@contextmanager
+def optimised() -> Iterator[None]:
+    """Kernels are compiled as users' are, for tests of the kernel itself."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.backends.native.compiler._flag_sets", _USERS[0])
         patch.setattr("gbspec.training.engines.native.kernel._kernels", {})
         yield
 

@@ -202,9 +202,12 @@ def models(draw: st.DrawFn) -> Model:
     known_functions = [draw(tables(name)) for name in _take(draw, names, 0, 1)]
     leaves = _leaves(plain, networks, known_functions)
     intermediates: list[Intermediate] = []
+    whole: dict[sympy.Symbol, Expr] = {}
     for name in _take(draw, names, 0, 3):
         intermediates.append(Intermediate(name, value=draw(expressions(leaves, 2))))
-        leaves = st.one_of(leaves, st.just(intermediates[-1].symbol))
+        whole[symbol(name)] = intermediates[-1].value.xreplace(whole)
+        if not whole[symbol(name)].has(sympy.ITE):  # a choice that decides a third one: sympy simplifies it for seconds
+            leaves = st.one_of(leaves, st.just(symbol(name)))
     channels = [Channel(states[0], value=symbol(states[0]), state=0)]
     channels += [Channel(name, value=draw(expressions(leaves, 2))) for name in _take(draw, names, 0, 1)]
     starts = st.sampled_from([*(symbol(n) for n in (*states[:-1], *given)), *constants, sympy.Integer(2)])

@@ -124,7 +124,7 @@ def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
     """What a node can be changed to, with words."""
     if not isinstance(node, CHANGED):
         return
-    new = copy.deepcopy(node)
+    new = copy.copy(node)  # what it shares with the node stays as it is
     if isinstance(new, ast.BinOp | ast.AugAssign) and type(new.op) in BINARY:
         new.op = BINARY[type(new.op)]()
     elif isinstance(new, ast.Compare) and len(new.ops) == 1 and type(new.ops[0]) in COMPARED:
@@ -143,6 +143,7 @@ def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
     elif isinstance(new, ast.Call) and _name(new.func) in CALLED:
         name = CALLED[_name(new.func)]
         if isinstance(new.func, ast.Attribute):
+            new.func = copy.copy(new.func)
             new.func.attr = name
         else:
             new.func = ast.Name(name)

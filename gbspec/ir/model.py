@@ -424,9 +424,23 @@ class Model:
     def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
         """The expressions with every intermediate substituted."""
         expressions = tuple(expressions)
-        if not any(one.free_symbols for one in expressions):
+        if not self.intermediates or not any(one.free_symbols for one in expressions):
             return expressions
+        found = self._inlined
+        for one in expressions:
+            if one not in found:
+                found[one] = one.xreplace(self._values)
+        return tuple(found[one] for one in expressions)
+
+    @cached_property
+    def _values(self) -> dict[sympy.Symbol, Expr]:
+        """What each intermediate stands for, without other intermediates."""
         table: dict[sympy.Symbol, Expr] = {}
         for item in self.intermediates:
             table[item.symbol] = item.value.xreplace(table)
-        return tuple(expression.xreplace(table) for expression in expressions)
+        return table
+
+    @cached_property
+    def _inlined(self) -> dict[Expr, Expr]:
+        """Expressions with every intermediate substituted: sympy takes seconds where conditions depend on others."""
+        return {}

@@ -36,6 +36,8 @@ from gbspec.training.problem.scaling import scaling_of
 from tests.training.conftest import model_of
 from tests.training.conftest import trajectory as made
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 TEXT = """model pair
 state x in [0, 5]
 const k = 0.5

@@ -30,7 +30,6 @@ from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import predicted
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
-from tests import quick
 from tests.backends.same_kernel import compare
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of
 from tests.training.reference import kernel_residuals, linearise, measured_residuals, unroll, whole_jacobian
@@ -56,14 +55,13 @@ FEWER = [*METHODS, RALSTON.name]
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch, kernels: Path) -> Iterator[None]:
+def registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Adds two methods by an entry each."""
     for method in (RALSTON, EULER):
         monkeypatch.setitem(METHODS, method.name, method)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    with quick.kernels(kernels):
-        yield
+    yield
     torch.set_num_threads(threads)
 
 
@@ -256,7 +254,8 @@ def test_solutions_by_torch_native_casadi_and_c_are_the_same(name: str, case: st
 def test_gradients_and_jacobians_of_the_kernel_are_those_of_the_graph(name: str, case: str, step: float) -> None:
     text, make, _ = CASES[case]
     problem, parameters, theta = problem_of(model_of(text), make(), step, blend=0.3, method=METHODS[name])
-    compare(problem, parameters, theta, ("float64", "float32"))
+    # of explicit methods, one with numbers of single precision: their sources differ in the tableau
+    compare(problem, parameters, theta, ("float64", "float32") if name in ("dopri5", "ros34pw2") else ("float64",))
 
 
 @pytest.mark.parametrize("name", ["dopri5", RALSTON.name, "ros34pw2"])
@@ -266,7 +265,9 @@ def test_the_jacobian_is_that_of_automatic_differentiation(name: str, case: str)
     problem, parameters, theta = problem_of(model_of(text), make(), 0.3, blend=0.3, method=METHODS[name])
     found = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.autograd.functional.jacobian(
-        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
+        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals),
+        torch.from_numpy(theta),
+        vectorize=True,
     )
     close(found, expected, 1e-10)
 

@@ -35,8 +35,7 @@ from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 from gbspec.training.problem.scaling import scaling_of
-from tests import quick as quickly
-from tests import strategies
+from tests import quick, strategies
 from tests.backends.same_kernel import compare, compare_jacobians
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, urp_data
 from tests.training.reference import half_squares
@@ -94,9 +93,8 @@ def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem
 
 
 @pytest.fixture
-def quick(kernels: Path) -> Iterator[None]:
-    """Compiles without optimisation, which takes most of the compiler's time."""
-    with quickly.kernels(kernels):
+def optimised() -> Iterator[None]:
+    with quick.optimised():
         yield
 
 
@@ -106,13 +104,13 @@ WITHOUT_KERNEL = ("robertson", "switching", "chemistry")
 SHIPPED = sorted(name for name, path in shipped_models().items() if path.parent.name not in WITHOUT_KERNEL)
 
 
-@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_bundled_models(name: str) -> None:
     problem, parameters, theta = random_problem(gbspec.load(name).model, 1, 0.1)
     compare(problem, parameters, theta, ("float64", "float32"))
 
 
+@pytest.mark.usefixtures("optimised")
 @pytest.mark.parametrize("blend", [1.0, 0.3, 0.0])
 def test_a_model_with_everything(blend: float) -> None:
     problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(), 0.13, blend=blend)
@@ -135,14 +133,12 @@ observe y
 """
 
 
-@pytest.mark.usefixtures("quick")
 def test_contracts_and_doses() -> None:
     problem, parameters, theta = random_problem(model_of(CONTRACTS), 2)
     assert len(problem.packed.doses.time)
     compare(problem, parameters, theta, ("float64", "float32"))
 
 
-@pytest.mark.usefixtures("quick")
 @settings(
     max_examples=4,
     deadline=None,
@@ -164,7 +160,6 @@ observe x
 """
 
 
-@pytest.mark.usefixtures("quick")
 def test_all_activations() -> None:
     """Every activation, in networks of no, one and three hidden layers, some wider than a vector."""
     names = strategies.ACTIVATIONS
@@ -181,7 +176,8 @@ def small() -> tuple[Problem, Parameters, np.ndarray, Kernel]:
 
     model = model_of(URP)
     problem, parameters, theta = problem_of(model, urp_data(9, 2.0, 1), 0.1)
-    return problem, parameters, theta, Kernel(model)
+    with quick.optimised():
+        return problem, parameters, theta, Kernel(model)
 
 
 def test_some_trajectories_and_threads(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
@@ -270,7 +266,6 @@ observe x
 """
 
 
-@pytest.mark.usefixtures("quick")
 def test_jacobians_of_intervals_longer_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """The model has a call that is made once for a whole interval, and every checkpoint interval needs its slopes."""
     problem, parameters, theta = random_problem(model_of(INVARIANT), 3, step=0.02)
@@ -300,7 +295,6 @@ observe x
 """
 
 
-@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("weight", [None, 0.0, 1.0])
 def test_an_overflow_that_no_measurement_sees(weight: float | None) -> None:
     """An infinite state with bounded effect: the measured values stay finite, with resets of any weight."""
@@ -316,7 +310,6 @@ def test_an_overflow_that_no_measurement_sees(weight: float | None) -> None:
     assert found[1] == pytest.approx(expected[1], rel=1e-11, abs=1e-13)
 
 
-@pytest.mark.usefixtures("quick")
 def test_a_trajectory_that_has_ended_waits_for_longer_ones() -> None:
     """Its last state is so large that the derivatives of the rates, which are not needed, are infinite there."""
     text = OVERFLOW.format(rate="c*z + k").replace("1/(1 + z)", "1/(1 + z^10)\ncondition c in [0, 1]")

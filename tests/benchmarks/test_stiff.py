@@ -29,8 +29,8 @@ def test_the_ladder_ends_below_the_target() -> None:
 
 
 def test_the_weights_of_the_workload_give_the_loss(work: StiffWork) -> None:
-    exact = work.exact()
-    loss, _ = objective(work.controlled(1e-8), work.parameters, "torch")(work.theta)
+    exact = work.exact
+    loss, _ = objective(work.controlled(1e-8), work.parameters, "native")(work.theta)
     assert (work.weight * (exact - work.value) ** 2).sum() == pytest.approx(loss, rel=1e-5)
 
 

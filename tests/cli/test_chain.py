@@ -159,7 +159,7 @@ def test_wrong_input_of_train(place: Path, here: Path, arguments: tuple[str, ...
 
 def test_an_interrupted_training_exits_130_and_can_be_resumed(place: Path, here: Path) -> None:
     train = [sys.executable, "-m", "gbspec", "train", str(place / "decay.gb"), str(place / "decay.csv"), "-o", "run"]
-    slow = [*train, "--method", "adam", "--epochs", "100000"]
+    slow = [*train, "--method", "adam", "--epochs", "100000", "--no-warm-start", "--solver", "rk4"]
     process = subprocess.Popen(slow, cwd=here, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     seen = ""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import gbspec
 from gbspec import frontend
 from gbspec.diagnostics import Findings
@@ -21,6 +23,7 @@ truth k = 3
 """
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_run_keeps_the_values_that_were_set(tmp_path: Path) -> None:
     (tmp_path / "m.gb").write_text(TEXT)
     (tmp_path / "d.csv").write_text("t,x\n0.5,0.05\n1,0.002\n")

@@ -50,17 +50,16 @@ def test_the_order_is_four_through_the_propagated_start() -> None:
     assert errors[0] / errors[1] > 10 and errors[1] / errors[2] > 10
 
 
-@pytest.mark.parametrize("blend", [0.0, 0.4, 1.0])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("seed", "blend"), [(0, 0.0), (1, 0.4), (0, 1.0)])
 def test_derivatives_agree_with_differences(seed: int, blend: float) -> None:
-    problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(seed), 0.13, seed, blend=blend)
+    problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(seed), 0.19, seed, blend=blend)
     engine = torch_engine(problem, parameters)
     path, rng = engine.plan(theta), np.random.default_rng(seed)
     moments = engine.moments(theta, path)
     assert moments.finite
     scale = rng.uniform(0.5, 2.0, problem.seen.shape)
     found = whole_jacobian(engine.jacobian(theta, path, moments, scale), parameters).numpy()
-    for _ in range(3):
+    for _ in range(2):
         direction, h = rng.standard_normal(len(theta)), 3e-6
         ahead, behind = (
             engine.moments(theta + s * h * direction, engine.plan(theta + s * h * direction)).mean for s in (1, -1)

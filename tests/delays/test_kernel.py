@@ -106,19 +106,18 @@ def some_data(channels: tuple[str, ...], conditions: int = 1, seed: int = 0, fir
     return Trajectories(tuple(items), channels)
 
 
-@pytest.mark.parametrize("blend", [0.0, 0.4, 1.0])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("seed", "blend"), [(0, 0.0), (1, 0.4), (0, 1.0)])
 def test_a_model_with_everything(seed: int, blend: float) -> None:
-    problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(seed), 0.13, seed, blend=blend)
+    problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(seed), 0.19, seed, blend=blend)
     compare(problem, parameters, theta, ("float64", "float32"))
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_random_models(seed: int) -> None:
     rng = np.random.default_rng(seed)
     data = everything_data(seed)
     problem, parameters, theta = problem_of(
-        drawn_model(rng), data, float(rng.choice([0.07, 0.13, 0.6])), seed, blend=float(rng.choice([0.0, 0.3, 1.0]))
+        drawn_model(rng), data, float(rng.choice([0.13, 0.23, 0.6])), seed, blend=float(rng.choice([0.0, 0.3, 1.0]))
     )
     compare(problem, parameters, theta + 0.1 * rng.standard_normal(len(theta)), ("float64",))
 
@@ -151,7 +150,7 @@ def test_regular_times_at_which_delays_meet_measurements(blend: float) -> None:
     """Every delayed jump of a reset falls on the end of a step: the side of it that counts is the same."""
     times = np.arange(1, 13) * 0.5
     rng = np.random.default_rng(0)
-    items = [trajectory(str(i), 0.0, times[: 8 + 2 * i], rng.uniform(0.5, 1.5, (8 + 2 * i, 2)), []) for i in range(3)]
+    items = [trajectory(str(i), 0.0, times[: 5 + 2 * i], rng.uniform(0.5, 1.5, (5 + 2 * i, 2)), []) for i in range(3)]
     data = Trajectories(tuple(items), ("x", "before"))
     problem, parameters, _ = problem_of(model_of(LINEAR), data, 0.25, 0, blend=blend)
     for tau in (0.75, 1.0, 1.25, 0.6180339887):
@@ -163,7 +162,7 @@ def test_regular_times_at_which_delays_meet_measurements(blend: float) -> None:
 
 def test_steps_as_long_as_the_delay_and_much_shorter_ones() -> None:
     text = LINEAR.replace("learn tau = 0.5 in [0.2, 2]", "learn tau = 0.5 in [0.499999, 0.6]")
-    for step in (10.0, 0.03):
+    for step in (10.0, 0.07):
         problem, parameters, _ = problem_of(model_of(text), some_data(("x", "before"), 0, 1, 0.4), step, 0, blend=0.0)
         for tau in (0.499999, 0.53):
             compare(problem, parameters, parameters.vector({}, np.array([tau])), ("float64",))
@@ -184,7 +183,7 @@ def test_what_is_not_kept_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_threads_and_some_of_the_trajectories() -> None:
-    problem, parameters, theta = problem_of(model_of(UNKNOWNS), some_data(("x", "z"), 1, 6, 0.3), 0.1, 3, blend=0.0)
+    problem, parameters, theta = problem_of(model_of(UNKNOWNS), some_data(("x", "z"), 1, 6, 0.3), 0.2, 3, blend=0.0)
     one = objective(problem, parameters, "native")(theta)
     torch.set_num_threads(2)
     two = objective(problem, parameters, "native")(theta)

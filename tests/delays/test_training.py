@@ -37,7 +37,7 @@ def written(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize("backend", ["torch", "native"])
 def test_a_delay_is_recovered_from_data_without_noise(tmp_path: Path, backend: Backend) -> None:
     specification = gbspec.load(written(tmp_path, MACKEY_GLASS))
-    data = specification.simulate(trajectories=1, span=60, dt=3, sampling="regular")
+    data = specification.simulate(trajectories=1, span=45, dt=3, sampling="regular")
     run = specification.train(data, tmp_path / "run", stages="least squares", max_step=1.0, backend=backend)
     assert run.constants["tau"] == pytest.approx(17.0, rel=1e-4)
     assert run.constants["beta"] == pytest.approx(0.2, rel=1e-3)

@@ -15,6 +15,8 @@ from gbspec.diagnostics import Findings, Severity
 from gbspec.runs import open_run
 from tests.runs.test_record import VERSION_0_1_0
 
+pytestmark = pytest.mark.usefixtures("few_points")
+
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

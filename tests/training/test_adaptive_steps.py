@@ -23,7 +23,6 @@ from gbspec.training.engines.torch.planning import planned
 from gbspec.training.problem.mesh import Control
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
-from tests import quick
 from tests.backends.same_kernel import compare
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, trajectory
 from tests.training.reference import linearise, measured_residuals, unroll, whole_jacobian
@@ -132,7 +131,9 @@ def test_derivatives_are_exact_and_the_same_by_kernel_and_graph(
     compare(problem, parameters, theta, ("float64",))
     found = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.autograd.functional.jacobian(
-        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
+        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals),
+        torch.from_numpy(theta),
+        vectorize=True,
     )
     assert float((found - expected).abs().max()) < 1e-10 * float(expected.abs().max())
 
@@ -193,9 +194,3 @@ def test_where_there_is_no_solution_there_are_no_numbers(name: str, blend: float
         assert found[1] == pytest.approx(2.0, rel=1e-3), "1/(1 - t)"
         assert not np.isfinite(found[2]), "the solution ends at t = 1, and at 1 again after t = 0.5"
         assert np.isfinite(found[3]) == (blend == 1.0), "it begins anew where it is replaced"
-
-
-@pytest.fixture(autouse=True)
-def _kept_kernels(kernels: Any) -> Any:
-    with quick.kernels(kernels):
-        yield

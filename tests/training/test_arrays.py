@@ -116,6 +116,7 @@ def spreading() -> tuple[Model, Trajectories]:
     return model, simulate(reference(model), SimulateOptions(trajectories=2, span=4.0, dt=1.0))
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_pointwise_rate_is_learned_from_an_array(tmp_path: Path) -> None:
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")

@@ -14,6 +14,8 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.recipe import breeding
 from tests.training.conftest import model_of, trajectory
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 FAST = """model fast
 state a in [0, 4] = 1
 state h in [0, 4] = 1

@@ -10,6 +10,8 @@ import pytest
 import gbspec
 from gbspec.training.runs.constants import moving_together
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 LINE = """\
 model line
 time t from 0

@@ -21,7 +21,7 @@ from gbspec.training.recipe.further import KEPT, Further
 from tests.training.conftest import URP, model_of, problem_of, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
-SMALL = URP.replace("mlp(12, 12)", "mlp(8)")
+SMALL = URP.replace("mlp(12, 12)", "mlp(5)")
 SAME = 1 + 1e-6
 
 
@@ -42,7 +42,7 @@ def stages(run: Run) -> list[tuple[str, int]]:
 
 def test_high_is_not_worse_without_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planning, "FEW", 0)  # the criterion is the loss, without a ridge
-    data = urp_data(4, 2.0, 6)
+    data = urp_data(3, 1.3, 6)
     (normal, _, _), (high, _, _) = (fitted(data, effort, tmp_path) for effort in ("normal", "high"))
     assert stages(high)[: len(stages(normal))] == stages(normal)
     assert "further iterations" in [name for name, _ in stages(high)]
@@ -51,7 +51,7 @@ def test_high_is_not_worse_without_noise(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_high_is_not_worse_with_noise(tmp_path: Path) -> None:
-    data = urp_data(4, 2.0, 6, noise=0.02)
+    data = urp_data(3, 1.3, 6, noise=0.02)
     (normal, engine, before), (high, _, after) = (fitted(data, effort, tmp_path) for effort in ("normal", "high"))
     assert stages(high)[: len(stages(normal))] == stages(normal)
     evidences = [log_evidence(engine, theta) for theta in (after, before)]
@@ -60,7 +60,8 @@ def test_high_is_not_worse_with_noise(tmp_path: Path) -> None:
 
 
 def test_what_is_worse_is_not_kept() -> None:
-    problem, parameters, theta = problem_of(model_of(SMALL), urp_data(2, 2.0, 6), 0.1)
+    wide = URP.replace("mlp(12, 12)", "mlp(8)")
+    problem, parameters, theta = problem_of(model_of(wide), urp_data(2, 2.0, 6), 0.1)
     engine = Choice().engine(problem, parameters)
     stage = Further(LevenbergMarquardt("lm", 1, lambda i: engine, LevenbergOptions(robust=False)))
     outcome = stage.step(stage.begin(theta), 0)

@@ -9,6 +9,8 @@ import pytest
 
 import gbspec
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 ORAL = """\
 model oral
 time t : h

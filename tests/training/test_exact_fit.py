@@ -10,6 +10,8 @@ import pytest
 import gbspec
 from gbspec.training.optimise.normal_equations import Cholesky, NormalEquations
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 TEXT = """\
 model m
 state x in [0, 2]

@@ -11,6 +11,8 @@ import torch
 import gbspec
 from gbspec.training.recipe.context import split
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 TEXT = """\
 model m
 state N in [0, 2] = 1

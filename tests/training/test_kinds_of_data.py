@@ -79,10 +79,11 @@ def test_one_channel_of_two_states(tmp_path: Path) -> None:
     assert run.run.fit.warnings == ()
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_thousands_of_even_samples_of_one_run(tmp_path: Path) -> None:
-    text = shipped("friction_oscillator", "mlp(24, 24)", "mlp(8, 8)")
-    run, data = fitted(tmp_path, text, trajectories=1, span=100, dt=0.05, keep_start=True, seed=1)
-    assert data.measurements == 4002
+    text = shipped("friction_oscillator", "mlp(24, 24)", "mlp(8)")
+    run, data = fitted(tmp_path, text, trajectories=1, span=60, dt=0.05, keep_start=True, seed=1)
+    assert data.measurements == 2402
     assert run.run.fit.constants["k"].value == pytest.approx(4, rel=2e-3)
     rmse = run.run.fit.members[0].rmse  # of the solution from the start to the end
     assert all(rmse[name] < 0.05 * data.items[0].values[:, j].std() for j, name in enumerate(("q", "w")))

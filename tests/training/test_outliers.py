@@ -9,6 +9,8 @@ import pytest
 
 import gbspec
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 DECAY = "model decay\nstate x\nlearn k in [0.01, 10]\nx' = -k*x\nobserve x\n"
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from gbspec.diagnostics import Findings
 from gbspec.operations import tables
@@ -39,6 +40,7 @@ def test_the_kernel_is_worth_its_compilation_for_a_population(tmp_path: Path) ->
     assert [choice.few(one, TrainOptions(), 10) for one in (alone, model)] == [True, False]
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_network_learns_to_depend_on_its_effect(tmp_path: Path) -> None:
     """Rates differ by a factor of 4 between trajectories, which only the network's effect can explain."""
     random, times = np.random.default_rng(7), np.array([0.3, 0.8, 1.5, 2.5, 4.0])
@@ -46,7 +48,7 @@ def test_a_network_learns_to_depend_on_its_effect(tmp_path: Path) -> None:
     values = 2 * np.exp(-rate * times) + 0.02 * random.standard_normal((8, 5))
     model = model_of(NETWORK, tmp_path)
     data = tables.read_data(table(tmp_path, values, times), model, Findings())
-    run = train(model, data, TrainOptions(backend="torch", max_step=0.5, effort="low"), tmp_path / "run")
+    run = train(model, data, TrainOptions(max_step=0.5, effort="low"), tmp_path / "run")
     assert run.fit.noise["x"] is not None
     assert run.fit.noise["x"] < 0.06  # without the dependence it is 0.2
     own = run.fit.constants["e"].per_trajectory

@@ -14,6 +14,8 @@ from gbspec.training.optimise.priors import Priors, priors_at
 from tests.training.conftest import model_of, problem_of, trajectory
 from tests.training.reference import linearise, solve, whole_jacobian
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 SD, TIMES = 0.5, np.linspace(0.5, 4, 8)
 
 

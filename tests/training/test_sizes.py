@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import gbspec
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
 
 CHAIN = """\
 model chain "Two nuclides of which only activities are measured"

@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import gbspec
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
 
 GROWTH = """\
 model growth "Growth until the nitrogen is used up; its half-saturation shows in few rows"

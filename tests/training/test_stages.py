@@ -17,6 +17,7 @@ from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
+SMALL = URP.replace("mlp(12, 12)", "mlp(6)")
 KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 - x1)*exp(x2)")
 
 
@@ -24,7 +25,7 @@ KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 -
 def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_path: Path) -> None:
     recorder = Recorder()
     options = TrainOptions(stages=stage.replace(" ", "-"), epochs=5, max_step=0.1, workers=1)
-    run = train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "run", recorder)
+    run = train(model_of(SMALL), urp_data(3, 1.4, 6), options, tmp_path / "run", recorder)
     losses = [update.loss for update in recorder.updates if update.stage == stage]
     assert {update.stage for update in recorder.updates} == {"warm start", stage}
     assert losses[-1] < losses[0]
@@ -34,7 +35,7 @@ def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_pat
 def test_a_run_that_was_stopped_has_the_step_that_it_was_fitting_with(tmp_path: Path) -> None:
     options = TrainOptions(stages="half step; autoregressive", epochs=5, max_step=0.1, workers=1)
     with pytest.raises(KeyboardInterrupt):
-        train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "half", Recorder(interrupt_after=3))
+        train(model_of(SMALL), urp_data(3, 1.4, 6), options, tmp_path / "half", Recorder(interrupt_after=3))
     assert open_run(tmp_path / "half").member().info["max_step"] == 0.05
 
     class Later(Recorder):
@@ -43,14 +44,14 @@ def test_a_run_that_was_stopped_has_the_step_that_it_was_fitting_with(tmp_path: 
             super().update(update)
 
     with pytest.raises(KeyboardInterrupt):
-        train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "whole", Later())
+        train(model_of(SMALL), urp_data(3, 1.4, 6), options, tmp_path / "whole", Later())
     assert open_run(tmp_path / "whole").member().info["max_step"] == 0.1
 
 
 def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) -> None:
     names = "Choice; autoregressive; teacher-forcing"
     options = {"stages": names, "effort": "low", "workers": 1}
-    model, data, recorder = model_of(URP), urp_data(4, 2.0, 6), Recorder()
+    model, data, recorder = model_of(SMALL), urp_data(3, 1.4, 6), Recorder()
     whole = train(model, data, TrainOptions(**options), tmp_path / "whole", recorder)  # type: ignore[arg-type]
     order = list(dict.fromkeys(update.stage for update in recorder.updates))
     assert order == ["warm start", "teacher forcing", "autoregressive", "choice"]
@@ -72,13 +73,13 @@ def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) 
 )
 def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
-        train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options, workers=1), tmp_path / "run")  # type: ignore[arg-type]
+        train(model_of(SMALL), urp_data(3, 1.4, 6), TrainOptions(**options, workers=1), tmp_path / "run")  # type: ignore[arg-type]
     assert expected in str(caught.value)
     assert [finding.code for finding in caught.value.diagnostics] == ["GB850"]
 
 
 def test_a_named_stage_that_had_nothing_to_do_is_told(tmp_path: Path) -> None:
-    run = train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(stages="choice", workers=1), tmp_path / "run")
+    run = train(model_of(SMALL), urp_data(3, 1.4, 6), TrainOptions(stages="choice", workers=1), tmp_path / "run")
     assert "member 0: the stage `choice` was requested, but had nothing to do" in run.fit.warnings
 
 

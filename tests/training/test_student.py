@@ -20,6 +20,8 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.population import student
 from tests.training.test_populations import DECAY, LEVEL, decays, levels, marginal_of, model_of, table
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 OUTLIERS = """model outliers
 time t from 0
 state x
@@ -32,7 +34,7 @@ initial x = x0
 observe x noise student(s, df)
 """
 HEAVY = DECAY.replace("normal(sqrt(a^2 + (0.1*y)^2))", "student(sqrt(a^2 + (0.1*y)^2), df)\nlearn df = 4 in [1, 50]")
-QUICK = TrainOptions(backend="torch", max_step=0.5, effort="low")
+QUICK = TrainOptions(max_step=0.5, effort="low")
 
 
 def spoiled(folder: Path) -> np.ndarray:

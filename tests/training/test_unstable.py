@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import gbspec
 
@@ -35,6 +36,7 @@ def rows() -> list[tuple[float, float, float]]:
     return out
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_pieces_are_advised_and_can_be_fitted(tmp_path: Path) -> None:
     (tmp_path / "magnet.gb").write_text(MAGNET)
     model, data = gbspec.load(tmp_path / "magnet.gb"), rows()

@@ -43,7 +43,7 @@ def states(times: np.ndarray) -> np.ndarray:
     return np.stack([s, 2 * H * K / (L - K) * (np.exp(-K * times) - np.exp(-L * times))], axis=1)
 
 
-def logged(noise: tuple[float, float], seed: int = 0, dense: int = 600, few: int = 12) -> Trajectories:
+def logged(noise: tuple[float, float], seed: int = 0, dense: int = 240, few: int = 12) -> Trajectories:
     """One state measured now and then, the other one logged."""
     times = np.linspace(0, 5, dense + 1)[1:]
     error = np.random.default_rng(seed).standard_normal((dense, 2)) * noise * DEVIATION
@@ -74,8 +74,8 @@ def test_a_logged_channel_does_not_outweigh_a_sparse_one(tmp_path: Path) -> None
     channels = run.fit.members[0].channels
     assert channels is not None and channels["S"].weight is not None and channels["H"].weight is not None
     assert channels["S"].weight / channels["H"].weight == pytest.approx((0.3 / 0.01) ** 2, rel=0.7)
-    assert (channels["S"].values, channels["H"].values) == (12, 600)
-    assert "weight" in run_summary(run) and "600" in run_summary(run)
+    assert (channels["S"].values, channels["H"].values) == (12, 240)
+    assert "weight" in run_summary(run) and "240" in run_summary(run)
     scales, estimated = run.fit.scales, run.fit.members[0].estimated(run.model)
     assert scales is not None and estimated is not None
     np.testing.assert_allclose(scales.channel, scales_of(run.model, data, estimated).channel)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm, normaltest, shapiro, ttest_1samp
+from scipy.special import chdtr, ndtri
 
 from gbspec.arrays import Array, Mask
 from gbspec.training.problem import Integers
@@ -37,12 +37,14 @@ class Tested:
 
 def examined(errors: Array) -> Tested | None:
     """The tests of errors, NaN left out; None for fewer than eight."""
+    from scipy.stats import normaltest, shapiro, ttest_1samp  # not at the top: every process of a fit would import it
+
     known = errors[np.isfinite(errors)]
     n = len(known)
     if n < 8 or np.ptp(known) == 0:
         return None
     variance = float(known.var(ddof=1))
-    lower = float(chi2.cdf((n - 1) * variance, n - 1))
+    lower = float(chdtr(n - 1, (n - 1) * variance))
     form = normaltest(known).pvalue if n > MANY else shapiro(known).pvalue
     least = min(float(ttest_1samp(known, 0.0).pvalue), 2 * min(lower, 1 - lower), float(form))
     return Tested(n, float(known.mean()), variance, min(1.0, 3 * least))
@@ -74,4 +76,4 @@ def _of_one(value: Array, simulated: Array) -> Array:
     others = np.linalg.solve(factor, (found - mean).T)
     below = (others < own[:, None]).mean(axis=1)
     edge = 1 / (2 * len(found))
-    return np.asarray(norm.ppf(np.clip(below, edge, 1 - edge)), dtype=np.float64)
+    return np.asarray(ndtri(np.clip(below, edge, 1 - edge)), dtype=np.float64)

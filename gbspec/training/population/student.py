@@ -16,9 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy.special import polygamma
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, polygamma, stdtr
 from torch import Tensor
 
 from gbspec.arrays import Array
@@ -61,8 +59,8 @@ def of_scale_and_freedom(freedom: Array) -> tuple[Array, Array, Array]:
 
 def normal_quantile(residual: Array, freedom: Array) -> Array:
     """The standard normal number of the same probability as a residual in units of the scale."""
-    lower = student.cdf(-np.abs(residual), freedom)  # whose probability keeps its digits
-    return np.asarray(-np.sign(residual) * norm.ppf(lower), dtype=np.float64)
+    lower = stdtr(freedom, -np.abs(residual))  # whose probability keeps its digits
+    return np.asarray(-np.sign(residual) * ndtri(lower), dtype=np.float64)
 
 
 def draw(freedom: Array, random: np.random.Generator) -> Array:

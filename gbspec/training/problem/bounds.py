@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -88,23 +88,10 @@ class Bijection:
         return abs(value - bound) / (abs(self.start - bound) or self.scale)
 
     # ---------------------------------------------------------------- natural values from raw ones
-    def natural(self, raw: Tensor) -> Tensor:
-        """The constant's values."""
-        if self.two_sided:
-            return self._between(raw)
-        if math.isinf(self.low) and math.isinf(self.high):
-            return self.scale * raw
-        # cosh(x) - 1, without its loss of digits near 0
-        beyond = 2 * torch.sinh(0.5 * raw) ** 2 if self.reflecting else torch.exp(raw)
-        return self.low + self.scale * beyond if math.isfinite(self.low) else self.high - self.scale * beyond
-
-    def _between(self, raw: Tensor) -> Tensor:
-        # The slope in the middle of the range is that of the logistic function, or 1 on a scale of logarithms: as with
-        # a single bound, one unit is then a factor of e.
-        inner = raw * (4 / abs(self.width)) if self.logarithmic else raw
-        fraction = torch.sin(0.25 * inner) ** 2 if self.reflecting else torch.sigmoid(inner)
-        value = self.low * torch.exp(self.width * fraction) if self.logarithmic else self.low + self.width * fraction
-        return torch.clamp(value, self.low, self.high)
+    @property
+    def kind(self) -> tuple[bool, ...]:
+        """What decides by which formula the constant follows from its raw value."""
+        return math.isfinite(self.low), math.isfinite(self.high), self.logarithmic, self.reflecting
 
     # ---------------------------------------------------------------- raw values from natural ones
     def raw(self, value: Array) -> Array:
@@ -136,6 +123,32 @@ class Bijection:
         return np.asarray((self.high - value) / self.width, dtype=np.float64)
 
 
+class _Alike:
+    """Maps by one formula, evaluated together: `indices` [k] among the constants, and their numbers [k]."""
+
+    def __init__(self, indices: list[int], each: list[Bijection]) -> None:
+        self.indices, self.one = indices, each[0]
+        numbers = np.array([(one.low, one.high, one.width, one.scale) for one in each])
+        self.numbers = torch.from_numpy(numbers.T.copy())
+
+    def natural(self, raw: Tensor) -> Tensor:
+        """The constants' values [..., k] at raw ones [..., k]."""
+        low, high, width, scale = self.numbers.to(raw).unbind()
+        above, below, logarithmic, reflecting = self.one.kind
+        if above and below:
+            # The slope in the middle of the range is that of the logistic function, or 1 on a scale of logarithms: as
+            # with a single bound, one unit is then a factor of e.
+            inner = raw * (4 / width.abs()) if logarithmic else raw
+            fraction = torch.sin(0.25 * inner) ** 2 if reflecting else torch.sigmoid(inner)
+            value = low * torch.exp(width * fraction) if logarithmic else low + width * fraction
+            return torch.clamp(value, low, high)
+        if not above and not below:
+            return scale * raw
+        # cosh(x) - 1, without its loss of digits near 0
+        beyond = 2 * torch.sinh(0.5 * raw) ** 2 if reflecting else torch.exp(raw)
+        return low + scale * beyond if above else high - scale * beyond
+
+
 @dataclass(frozen=True)
 class Bijections:
     """One map per learnable, evaluated together."""
@@ -145,7 +158,7 @@ class Bijections:
     @staticmethod
     def of(learnables: tuple[Learnable, ...]) -> Bijections:
         """The maps of a model's learnables."""
-        return Bijections(tuple(map(Bijection.of, learnables)))
+        return _together(tuple(map(Bijection.of, learnables)))
 
     @cached_property
     def _scales(self) -> Array | None:
@@ -158,8 +171,23 @@ class Bijections:
         raw = STRETCH * u
         if self._scales is not None:
             return raw * raw.new_tensor(self._scales)
-        parts = [one.natural(raw[..., i]) for i, one in enumerate(self.each)]
-        return torch.stack(parts, -1) if parts else u
+        if len(self._groups) < 2:
+            return self._groups[0].natural(raw) if self._groups else u
+        parts = [group.natural(raw[..., group.indices]) for group in self._groups]
+        return torch.cat(parts, -1)[..., self._order]
+
+    @cached_property
+    def _groups(self) -> list[_Alike]:
+        """The maps by formula: every solution needs the constants, and a call for each would take most of its time."""
+        kinds: dict[tuple[bool, ...], list[int]] = {}
+        for i, one in enumerate(self.each):
+            kinds.setdefault(one.kind, []).append(i)
+        return [_Alike(indices, [self.each[i] for i in indices]) for indices in kinds.values()]
+
+    @cached_property
+    def _order(self) -> list[int]:
+        """The place of each constant among those of all groups."""
+        return [int(i) for i in np.argsort([i for group in self._groups for i in group.indices])]
 
     def derivative(self, u: Array) -> Array:
         """d natural / d u, elementwise."""
@@ -177,3 +205,9 @@ class Bijections:
         for i, one in enumerate(self.each):
             out[..., i] = one.raw(value[..., i]) / STRETCH
         return out
+
+
+@lru_cache(maxsize=64)
+def _together(each: tuple[Bijection, ...]) -> Bijections:
+    """The same maps are asked for in every step of a warm start."""
+    return Bijections(each)

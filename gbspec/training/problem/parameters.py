@@ -139,7 +139,7 @@ class Parameters:
 
     def constants(self, theta: Tensor) -> Tensor:
         """All constants of every trajectory, known ones first [N, n_constants]."""
-        known = theta.new_tensor([c.value for c in self.model.constants])
+        known = self._known.to(theta)
         shared = self.bijections(self.shared).to_natural(theta[self.places])
         same = torch.cat([known, shared]).expand(self.trajectories, -1)
         if not self.own:
@@ -147,6 +147,11 @@ class Parameters:
         own = self.bijections(self.own).to_natural(self.local(theta)[:, : len(self.own)])
         order = np.argsort([*range(len(known)), *(len(known) + i for i in (*self.shared, *self.own))])
         return torch.cat([same, own], 1)[:, torch.from_numpy(order)]
+
+    @cached_property
+    def _known(self) -> Tensor:
+        """The values of the constants that are not learned."""
+        return torch.tensor([c.value for c in self.model.constants], dtype=torch.float64)
 
     def starts(self, theta: Tensor) -> Tensor:
         """Initial states [N, n_states], before those given by expressions are substituted."""

@@ -155,15 +155,17 @@ class _Runner:
             while position.stage < len(self.plan):
                 if stop():
                     raise KeyboardInterrupt
-                self._run_stage(self.plan[position.stage], stop)
+                begun = self._run_stage(self.plan[position.stage], stop)
                 position.stage, position.iteration, position.state = position.stage + 1, 0, {}
-                self.save()
+                if begun:
+                    self.save()
         except KeyboardInterrupt:
             raise Interrupted(self.save()) from None
         position.finished = True
         return self.save()
 
-    def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
+    def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> bool:
+        """Whether the stage was due. One that was not leaves nothing to save: a resumed run decides the same again."""
         position = self.position
         begun, weights = [stage.name for stage in position.stages], self.context.estimated
         if position.iteration == 0:
@@ -171,7 +173,7 @@ class _Runner:
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
                 if self.context.options.named_stages and planned.name not in begun and note not in position.notes:
                     position.notes.append(note)
-                return
+                return False
             position.entry = position.theta
             if planned.weigh is not None:
                 self._weigh(planned.weigh(Reached(position.theta, position.marks, begun, position.ridge)))
@@ -188,9 +190,10 @@ class _Runner:
                 del position.stages[len(begun) :]
                 self.context.cutting = self.context.cutting and planned.name is not StageName.CUT
                 self._weigh(weights)
-                return
+                return True
         position.marks[planned.name] = position.theta
         self._take_certainty(stage)
+        return True
 
     def _after_failure(self, planned: Planned, error: ComputationError) -> str:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc, kolmogorov
 
 from gbspec.arrays import Array
 
@@ -46,7 +46,7 @@ def whiteness(series: list[Array]) -> Whiteness | None:
     r = r / squares if squares > 0 else r * np.nan
     terms = count * (count + 2) * r**2 / np.maximum(pairs, 1)
     statistic, robust = float(np.sum(terms)), float(np.sum(terms * _shares(usable, lags)))
-    p, robust_p = (float(stats.chi2.sf(value, lags)) for value in (statistic, robust))
+    p, robust_p = (float(chdtrc(lags, value)) for value in (statistic, robust))
     cumulated = _cumulated(usable)
     distance, probability = _distance(cumulated)
     return Whiteness(count, r, statistic, p, robust_p, cumulated, distance, probability)
@@ -87,4 +87,4 @@ def _distance(cumulated: Array) -> tuple[float, float]:
         return float("nan"), float("nan")
     diagonal = np.arange(1, m + 1) / m
     distance = float(np.max(np.abs(cumulated - diagonal)))
-    return distance, float(stats.kstwobign.sf(distance * np.sqrt(m - 1)))
+    return distance, float(kolmogorov(distance * np.sqrt(m - 1)))
