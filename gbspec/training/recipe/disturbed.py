@@ -22,14 +22,11 @@ from gbspec.training.starts import fit_curves
 
 
 def check_disturbed(model: Model, options: TrainOptions) -> None:
-    """Raises UserError for options that a model with disturbances, a population (GB770) or delays (GB768) cannot
-    have."""
+    """Raises UserError for options that a model with disturbances (GB770) or delays (GB768) cannot have."""
     found = []
     stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
-    if stiff and (model.diffusions or model.marginal):
-        message = (
-            "adaptive steps are not for a model with `diffusion` or a population: steps of its likelihood are fixed"
-        )
+    if stiff and model.diffusions:
+        message = "adaptive steps are not for a model with `diffusion`: steps of its likelihood are fixed"
         help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
         found.append(Diagnostic("GB770", message, None, help=help))
     if stiff and model.delays:
