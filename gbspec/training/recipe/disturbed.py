@@ -26,8 +26,11 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
     found = []
     stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
     if stiff and model.diffusions:
-        message = "adaptive steps are not for a model with `diffusion`: steps of its likelihood are fixed"
-        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
+        message = (
+            "adaptive steps and stiff solvers are not for a model with `diffusion`: its likelihood takes fixed "
+            "explicit steps, or solves linear models exactly"
+        )
+        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a step that is short enough for fast modes"
         found.append(Diagnostic("GB770", message, None, help=help))
     if stiff and model.delays:
         message = "adaptive steps and stiff solvers are not offered yet for a model with delays: their steps are fixed"
