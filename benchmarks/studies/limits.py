@@ -268,8 +268,8 @@ by a fixed point: it begins its trajectory (GB749), all initial values are given
 --like` writes of it has the doses before its first row, which a model with `time … from` does not read (GB717).
 
 Not offered together with `diffusion`: populations, noises with learned constants, learned lags of doses, measured
-rates of the disturbed state (GB344); censored values (GB784); profiles (GB772); stiff solvers and tolerances (GB770;
-these not for populations either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a
+rates of the disturbed state (GB344); censored values (GB784); profiles (GB772); stiff solvers and tolerances
+(GB770). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a
 population its medians.
 
 Events that set elements of arrays, and events together with `diffusion`, populations or learned noises are not

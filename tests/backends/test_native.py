@@ -375,8 +375,8 @@ def test_no_instruction_set_is_assumed(
     """Standard C, where a vector is one number."""
     problem, parameters, theta, kernel = small
 
-    def plain(model: Model, precision: Precision, method: Method) -> Source:
-        whole = source(model, precision, method)
+    def plain(model: Model, precision: Precision, method: Method, blocks: int) -> Source:
+        whole = source(model, precision, method, blocks)
         return replace(whole, text="#define PLAIN_C\n" + whole.text)
 
     monkeypatch.setattr("gbspec.training.engines.native.kernel.source", plain)

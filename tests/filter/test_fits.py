@@ -151,10 +151,13 @@ def test_profiles_are_refused(fitted: tuple[Run, Trajectories]) -> None:
     assert [d.code for d in caught.value.diagnostics] == ["GB772"]
 
 
-def test_other_methods_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "options", [TrainOptions(method="adam"), TrainOptions(solver="ros34pw2"), TrainOptions(tolerance=1e-6)]
+)
+def test_other_methods_stiff_solvers_and_tolerances_are_refused(tmp_path: Path, options: TrainOptions) -> None:
     model = model_in(tmp_path, PROCESS)
     with pytest.raises(UserError) as caught:
-        train(model, data_in(tmp_path, model), TrainOptions(method="adam"), tmp_path / "run")
+        train(model, data_in(tmp_path, model), options, tmp_path / "run")
     assert {d.code for d in caught.value.diagnostics} == {"GB770"}
 
 

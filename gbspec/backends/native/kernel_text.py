@@ -56,8 +56,11 @@ class Source:
     sizes: dict[str, int]
 
 
-def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> Source:
-    """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a model that torch must run."""
+def source(model: Model, precision: Precision = "float64", method: Method = RK4, blocks: int = 1) -> Source:
+    """C of a model's unroll by a method; its states are in `blocks`, each of which is divided by a step's matrix.
+
+    Raises NotCoveredError, with the reason, for a model that torch must run.
+    """
     _check(model)
     events.check(model, precision)
     delays.check(model, method)
@@ -76,6 +79,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
         late_bar="w->seen_bar[{}*TILE + t]",
     )
     numbers = _numbers(model, precision, method, late, [*rhs.sites, *late.sites], observe.sites)
+    numbers["MATRIX"] = len(model.states) // blocks
     head = [
         *(f"#include <{name}.h>" for name in ("math", "stddef", "stdint", "string")),
         "",
@@ -95,7 +99,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     # Only least-squares fits need the Jacobian, and they run in double precision.
     jacobian = "sensitivities" if model.delays else "jacobian"
     after += ["trained", jacobian] if precision == "float64" else []
-    if _plans(model, precision, method):
+    if blocks == 1 and _plans(model, precision, method):
         after += ["control", "interrupted" if model.events else "side_by_side"]
     own = [*_equations(model, rhs, observe), *late.lines, *events.functions(model, _places(RHS_PLACES))]
     parts = [*map(_text, before), *table_functions(model.tables), *own, *map(_text, after)]

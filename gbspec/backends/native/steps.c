@@ -64,9 +64,9 @@ INLINE void add_weighted(const int count, const double *weights, real rows[][STA
 }
 
 #if MATRICES
-/* b /= the factored matrix (LAPACK's factors, row by row), or its transpose. */
-static void divide(const double *lu, const int32_t *pivots, int transposed, double *b) {
-    const int n = STATES;
+/* b /= a factored matrix (LAPACK's factors, row by row), or its transpose. */
+static void divide_block(const double *lu, const int32_t *pivots, int transposed, double *b) {
+    const int n = MATRIX;
     if (!transposed) {
         for (int i = 0; i < n; i++) {
             const int p = pivots[i] - 1;
@@ -94,6 +94,11 @@ static void divide(const double *lu, const int32_t *pivots, int transposed, doub
         b[p] = b[i];
         b[i] = swapped;
     }
+}
+
+/* The same for states in blocks, all with one matrix. */
+static void divide(const double *lu, const int32_t *pivots, int transposed, double *b) {
+    for (int i = 0; i < STATES; i += MATRIX) divide_block(lu, pivots, transposed, b + i);
 }
 
 /* Factors a matrix, with exchanges of rows, as LAPACK does. */
@@ -133,7 +138,7 @@ static void divide_lanes(const Work *w, int64_t s, int transposed, real *vector)
         const int64_t at = w->who[t] * w->data->depth + (moves ? w->first[t] + s : 0);
         if (!moves) continue;
         for (int i = 0; i < STATES; i++) b[i] = vector[i * TILE + t];
-        divide(w->data->lu + at * (STATES * STATES), w->data->pivots + at * STATES, transposed, b);
+        divide(w->data->lu + at * (MATRIX * MATRIX), w->data->pivots + at * MATRIX, transposed, b);
         for (int i = 0; i < STATES; i++) vector[i * TILE + t] = R(b[i]);
     }
 }

@@ -91,11 +91,11 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _reals("level", "CHANNELS", "standard deviation of noise in units of residuals, 0: not known", optional=True),
         _reals(
             "lu",
-            "trajectories, depth, STATES, STATES",
+            "trajectories, depth, MATRIX, MATRIX",
             "factored matrices, for methods with any; Jacobians with events",
             optional=True,
         ),
-        _places("pivots", "trajectories, depth, STATES", "the exchanges of rows of factors, from 1", optional=True),
+        _places("pivots", "trajectories, depth, MATRIX", "the exchanges of rows of factors, from 1", optional=True),
     ),
     # Data that depend on the parameter vector.
     "Inputs": (

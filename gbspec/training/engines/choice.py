@@ -38,11 +38,11 @@ class Choice:
         """A remark on the choice for the user; empty if the choice is the expected one."""
         return f"the torch graph is used: {self.unable.reason}" if self.unable is not None else ""
 
-    def of_model(self, model: Model, module: type[GeneratedModule]) -> Choice:
-        """The same choice for another model, with its own kernel where this one has one."""
+    def of_model(self, model: Model, module: type[GeneratedModule], blocks: int = 1) -> Choice:
+        """The same choice for another model, with its own kernel where this one has one; `blocks` as for `Kernel`."""
         if self.kernel is None:
             return self
-        found = kernel_of(model, module)
+        found = kernel_of(model, module, blocks=blocks)
         return replace(self, kernel=found if isinstance(found, Kernel) else None)
 
     def engine(self, problem: Problem, parameters: Parameters) -> Engine:

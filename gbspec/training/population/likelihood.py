@@ -46,6 +46,11 @@ AWAY = 1.5
 RESTS, RESTS_WITH_NETWORKS = 1e-9, 1e-6
 """An inner problem has converged when its next step is shorter than this (z has the standard deviation 1). The error of
 -2 log L is about as large; with networks, whose fit ends at falls of a tenth, less is enough."""
+CLOSE = 0.03
+"""When no step is longer than this, adaptive steps of the solver are held: others at each z would move g a little, and
+hide its last falls."""
+OF_STEPS = 0.1
+"""The part of g by which other adaptive steps move it, in units of their tolerance."""
 GLANCE = 8
 """Iterations after which those of further starts are left out that lead to a minimum known already, or a higher one."""
 NEAR, HIGHER = 0.1, 3.0
@@ -78,6 +83,8 @@ class Likelihood:
         self.groups = Groups.of(layout, predictions.problem.packed.condition) if groups is None else groups
         self._copies: dict[int, Likelihood] = {1: self}
         self.trajectories, self.count = measured.trajectories, self.groups.count
+        control = predictions.problem.control
+        self.uncertain = 0.0 if control is None else OF_STEPS * control.rtol
         self.owner = torch.from_numpy(measured.owner)
         self.unit = torch.from_numpy(self.groups.unit[measured.owner])
         self.value = torch.from_numpy(measured.value)
@@ -241,6 +248,21 @@ class Likelihood:
 
     def modes(self, natural: Tensor, z: Tensor, weights: Array, most: int = ITERATIONS) -> tuple[Tensor, Compared]:
         """The minima of g from `z` [N, q], side by side, and the comparison there, after at most so many iterations."""
+        rests = RESTS_WITH_NETWORKS if len(weights) else RESTS
+        if self.predictions.problem.control is None or not z.shape[1]:
+            return self._descended(natural, z, weights, most, rests)
+        if not self.predictions.holdable:
+            return self._descended(natural, z, weights, most, max(rests, self.uncertain))
+        z, _ = self._descended(natural, z, weights, most, CLOSE)
+        with torch.no_grad():
+            constants = self.individual(natural, z)[0].numpy()
+        with self.predictions.individuals.holding(constants, weights):
+            return self._descended(natural, z, weights, most, rests)
+
+    def _descended(
+        self, natural: Tensor, z: Tensor, weights: Array, most: int, rests: float
+    ) -> tuple[Tensor, Compared]:
+        """The points from which no step is longer than `rests`, or that are reached after `most` iterations."""
         of = self.at(natural, z, weights)
         value, q = self._joint(of, z), z.shape[1]
         if not q:
@@ -252,7 +274,6 @@ class Likelihood:
             value = self._joint(of, z)
         damping, missing = torch.zeros(self.count, dtype=z.dtype), torch.zeros((self.count, q, q), dtype=z.dtype)
         gradient, hessian = self.half_gradient(of, z), self.expected_hessian(of)
-        rests = RESTS_WITH_NETWORKS if len(weights) else RESTS
         for _ in range(most):
             step, whole = _step(gradient, hessian, missing, damping)
             missing = torch.where(whole[:, None, None], missing, torch.zeros_like(missing))

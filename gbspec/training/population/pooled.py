@@ -63,7 +63,7 @@ class Pooled:
 
     def begin(self, theta: Array) -> State:
         """The state of the inner stage."""
-        return self._whole(self.stage.begin(self._vector(theta)), theta)
+        return self._whole(self.stage.begin(self.vector(theta)), theta)
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One step of the inner stage."""
@@ -76,7 +76,7 @@ class Pooled:
             "theta": self._theta(inner["theta"], theta)
         }
 
-    def _vector(self, theta: Array) -> Array:
+    def vector(self, theta: Array) -> Array:
         """The pooled vector for a population's one: medians over the trajectories."""
         whole, own = self.parameters, self.engine.parameters
         with torch.no_grad():

@@ -8,6 +8,8 @@ come from the torch graph, in which S is a forward derivative, with one copy of 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -19,11 +21,11 @@ from torch import Tensor
 
 from gbspec.arrays import Array, Mask
 from gbspec.backends import load_module
-from gbspec.ir import METHODS, Explicit, Model, Range, logarithmic
+from gbspec.ir import METHODS, Model, Range, logarithmic, symbol
 from gbspec.training.engines import Choice, Engine, TorchEngine
-from gbspec.training.population.sensitivity import extended, repacked
+from gbspec.training.population.sensitivity import Extended, extended, repacked, widened
 from gbspec.training.population.sweeps import Sweeps, covered
-from gbspec.training.problem import STRETCH, Integers, Parameters, Problem, Scaling, teacher_forcing
+from gbspec.training.problem import STRETCH, Integers, Parameters, Path, Problem, Scaling, teacher_forcing
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class Individuals:
         self.unit = STRETCH * np.abs(np.array(scales, dtype=np.float64))
         # The last constants at which all solutions were finite.
         self._safe: Array | None = None
+        self._held: Path | None = None
 
     def vector(self, constants: Array, weights: Array) -> Array:
         """The engine's vector."""
@@ -93,6 +96,19 @@ class Individuals:
         blocks = np.zeros((parameters.trajectories, parameters.n_local))
         blocks[:, : len(self.unit)] = constants / self.unit
         return np.concatenate([weights, blocks.ravel()])
+
+    def path(self, constants: Array, weights: Array) -> Path:
+        """The steps that are taken."""
+        return self.engine.plan(self.vector(constants, weights)) if self._held is None else self._held
+
+    @contextmanager
+    def holding(self, constants: Array, weights: Array) -> Iterator[None]:
+        """Steps stay those that are taken at these constants."""
+        self._held = self.path(constants, weights)
+        try:
+            yield
+        finally:
+            self._held = None
 
     def first(self, constants: Array, weights: Array, of_weights: bool = False) -> First:
         """Predictions and derivatives; NaN for the trajectories whose solution is not finite."""
@@ -117,7 +133,7 @@ class Individuals:
 
     def _first(self, constants: Array, weights: Array, of_weights: bool) -> First:
         theta, count = self.vector(constants, weights), int(self.problem.seen.sum())
-        path = self.engine.plan(theta)
+        path = self.path(constants, weights)
         moments = self.engine.moments(theta, path)
         mean = moments.mean[self.problem.seen]
         columns = self.parameters.n_weights if of_weights else 0
@@ -130,7 +146,7 @@ class Individuals:
     def mean(self, constants: Array, weights: Array) -> Array:
         """Predictions [m] alone."""
         theta = self.vector(constants, weights)
-        return self.engine.moments(theta, self.engine.plan(theta)).mean[self.problem.seen]
+        return self.engine.moments(theta, self.path(constants, weights)).mean[self.problem.seen]
 
     def back(self, constants: Array, weights: Array, cotangent: Array) -> tuple[Array, Array]:
         """The products of `cotangent` [m] with the derivatives by the constants [N, K] and by the weights [W], in one
@@ -138,9 +154,31 @@ class Individuals:
         theta, table = self.vector(constants, weights), np.zeros(self.problem.seen.shape)
         table[self.problem.seen] = cotangent
         with torch.enable_grad():  # the caller may be a function of torch, which has switched it off
-            found = self.engine.pullback(theta, self.engine.plan(theta), table)
+            found = self.engine.pullback(theta, self.path(constants, weights), table)
         local = found[self.parameters.n_shared :].reshape(self.parameters.trajectories, self.parameters.n_local)
         return local[:, : len(self.unit)] / self.unit, found[: self.parameters.n_weights]
+
+
+class _Wider(Individuals):
+    """Those of the larger model with sensitivities, on the steps of the model alone."""
+
+    def __init__(self, of: Predictions, made: Extended, choice: Choice) -> None:
+        self._of, self._made, self._times = of, made, 1 + len(of.distributed)
+        self._taken: tuple[Path, Path] | None = None
+        model, own = made.model, of.problem
+        packed = repacked(own.packed, self._times, made.doses)
+        module = load_module(model, METHODS[own.module.solver]).random(0)
+        problem = Problem(model, module, packed, teacher_forcing(model, packed, 0.0), own.scaling)
+        further = np.zeros((packed.trajectories, len(model.states) - len(own.model.states)))
+        start = np.concatenate([of.parameters.start_value, further], 1)
+        super().__init__(problem, model, start, {}, choice.of_model(model, type(module), self._times))
+
+    def path(self, constants: Array, weights: Array) -> Path:
+        """The steps of the model alone."""
+        own = self._of.individuals.path(constants, weights)
+        if self._taken is None or self._taken[0] is not own:
+            self._taken = own, widened(own, self._times, self._made.doses)
+        return self._taken[1]
 
 
 def _unscaled(problem: Problem) -> Problem:
@@ -170,11 +208,17 @@ class Predictions:
     def first(self, constants: Array, weights: Array) -> tuple[Array, Array]:
         """Predictions [m] and their sensitivities [m, q] to the distributed constants, at constants [N, K] and weights
         [W]; NaN for the trajectories whose solution is not finite."""
-        if isinstance(self.second, _Sensitivities) and isinstance(METHODS[self.problem.module.solver], Explicit):
+        if isinstance(self.second, _Sensitivities):
             return self.second.plain(constants, weights)
         found = self.individuals.first(constants, weights)
         names = [k.name for k in self.problem.model.learnables]
         return found.mean, found.constants[:, [names.index(name) for name in self.distributed]]
+
+    @cached_property
+    def holdable(self) -> bool:
+        """Whether a trajectory's steps can stay as they are when its constants move: no dose then arrives elsewhere."""
+        by = [symbol(name) for name in self.distributed]
+        return not any(dose.lag.has(k) for dose in self.problem.model.doses for k in by)
 
     @cached_property
     def order(self) -> Integers:
@@ -195,21 +239,10 @@ class Predictions:
         made = extended(self.problem.model, self.distributed)
         if made is None:
             return self._swept()
-        model, times = made.model, 1 + len(self.distributed)
-        packed = repacked(self.problem.packed, times, made.doses, model)
-        module = load_module(model, METHODS[self.problem.module.solver]).random(0)
-        problem = Problem(model, module, packed, teacher_forcing(model, packed, 0.0), self.problem.scaling)
-        start = np.concatenate(
-            [
-                self.parameters.start_value,
-                np.zeros((packed.trajectories, len(model.states) - len(self.problem.model.states))),
-            ],
-            1,
-        )
-        return _Sensitivities(self, Individuals(problem, model, start, {}, self.choice.of_model(model, type(module))))
+        return _Sensitivities(self, _Wider(self, made, self.choice))
 
     def _swept(self) -> Second:
-        """With networks: by sweeps of casadi, or by torch where lags of doses are learned."""
+        """With networks: by sweeps of casadi, or by torch where these do not cover the problem."""
         if covered(self.problem):
             return Sweeps(self.problem, self.parameters, self.distributed)
         return _Graph(self)

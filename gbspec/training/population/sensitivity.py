@@ -1,9 +1,13 @@
 """The model together with the sensitivities of its states to constants, as a model of its own.
 
-With S = dx/dk for the constants k that are distributed, S' = (df/dx) S + df/dk. An explicit Runge-Kutta step of this
-larger system computes the derivative of the step of x exactly, so that its solution is the derivative of the numerical
-solution, and its Jacobian with respect to all constants has the mixed second derivatives. Its channels are those of the
-model, then for each k the derivatives of all channels. The derivative rules are those of `gbspec.ir.derivatives`.
+With S = dx/dk for the constants k that are distributed, S' = (df/dx) S + df/dk. A Runge-Kutta step of this larger
+system computes the derivative of the step of x exactly, so that its solution is the derivative of the numerical
+solution, and its Jacobian with respect to all constants has the mixed second derivatives. Steps are those of the model
+alone, adaptive ones included. So are the matrices of a Rosenbrock-W method, by which x and each S are divided: they are
+constants in derivatives, and the derivative of a stage with a constant matrix is that stage of S with the same matrix.
+
+Its channels are those of the model, then for each k the derivatives of all channels. The derivative rules are those of
+`gbspec.ir.derivatives`.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ import sympy
 
 from gbspec.data import Limits
 from gbspec.ir import Channel, Dose, Expr, Initial, Model, State, derivative, symbol
-from gbspec.training.problem import Packed
+from gbspec.training.problem import Integers, Packed, Path, with_doses
 
 
 @dataclass(frozen=True)
@@ -124,23 +128,25 @@ def _moved(value: Expr | None, table: dict[sympy.Symbol, sympy.Symbol]) -> Expr 
     return None if value is None else value.xreplace(table)
 
 
-def repacked(packed: Packed, times: int, doses: tuple[int, ...], model: Model) -> Packed:
-    """A packing of the larger model: every channel `times` times, and doses that also move sensitivities."""
-    own = packed.doses
-    rows = [np.flatnonzero(own.kind == kind) for kind in doses]
-    several = [np.zeros(0, dtype=np.int64), *rows]
-    pick = np.concatenate(several)
+def widened(path: Path, times: int, doses: tuple[int, ...]) -> Path:
+    """The path of the larger model: the steps of the model's own."""
+    return with_doses(path, repacked(path.packed, times, doses), _moving(path.packed, doses)[0])
+
+
+def _moving(packed: Packed, doses: tuple[int, ...]) -> tuple[Integers, Integers]:
+    """For each dose of the larger model, the dose of the packing, and its kind."""
+    rows = [np.flatnonzero(packed.doses.kind == kind) for kind in doses]
+    pick = np.concatenate([np.zeros(0, dtype=np.int64), *rows])
     kind = np.concatenate([np.zeros(0, dtype=np.int64), *(np.full(len(r), i) for i, r in enumerate(rows))])
     order = np.argsort(pick, kind="stable")  # in the order of the table: by trajectory and time
+    return pick[order], kind[order].astype(np.int64)
+
+
+def repacked(packed: Packed, times: int, doses: tuple[int, ...]) -> Packed:
+    """A packing of the larger model: every channel `times` times, and doses that also move sensitivities."""
+    own, (pick, kind) = packed.doses, _moving(packed, doses)
     known = tuple(own.known[i] for i in doses)
-    table = replace(
-        own,
-        owner=own.owner[pick][order],
-        kind=kind[order].astype(np.int64),
-        time=own.time[pick][order],
-        amount=own.amount[pick][order],
-        known=known,
-    )
+    table = replace(own, owner=own.owner[pick], kind=kind, time=own.time[pick], amount=own.amount[pick], known=known)
     values, weights, sd = (np.tile(part, (1, times)) for part in (packed.values, packed.weights, packed.sd))
     limits = Limits(np.tile(packed.limits.value, (1, times)), np.tile(packed.limits.side, (1, times)))
     return replace(packed, doses=table, values=values, weights=weights, sd=sd, limits=limits)

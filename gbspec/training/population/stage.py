@@ -102,7 +102,7 @@ class MarginalLikelihood:
         new, promised, damping = self._trial(now, gradient, curvature, ridge, damping)
         fell = now.objective - new.objective
         slow = float(state["slow"]) + 1 if self.parameters.n_weights and fell < SLOW else 0.0
-        enough = FALL_OF_QUADRATURE if of_quadrature else FALL
+        enough = max(FALL_OF_QUADRATURE if of_quadrature else FALL, self.likelihood.uncertain)
         last = promised < enough * (1 + abs(now.objective)) or slow >= TIMES or new is now
         moved = vector_of(self.parameters, self.likelihood, new.weights, new.u, new.z)
         reached: State = {"theta": moved, "z": new.z, "damping": np.array(damping), "ridge": np.array(ridge)}
@@ -123,6 +123,7 @@ class MarginalLikelihood:
         """The first damped step that lowers the objective, the fall that the undamped one promises, and the damping."""
         diagonal = np.maximum(np.diag(curvature), 1e-8 * max(float(np.diag(curvature).max()), 1e-300))
         promised, count = 0.0, len(now.weights)
+        most = now.objective + self.likelihood.uncertain * (1 + abs(now.objective))
         for trial in range(TRIALS):
             step = -np.linalg.solve(curvature + damping * np.diag(diagonal), gradient)
             if trial == 0:
@@ -130,7 +131,7 @@ class MarginalLikelihood:
             longest = float(np.abs(step[count:]).max(initial=0.0))
             step *= min(1.0, LONGEST / longest) if longest > 0 else 1.0
             new = self.objective.at(now.weights + step[:count], now.u + step[count:], now.z, ridge)
-            if new.objective <= now.objective:
+            if new.objective <= most:
                 # A step that was tried in vain is not tried again at once.
                 return new, promised, max(damping / (10 if trial == 0 else 3), 1e-9)
             damping = max(damping * 6, 1e-4)

@@ -16,13 +16,15 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.backends import Swept, network_layers, swept
+from gbspec.ir import METHODS, Explicit
 from gbspec.training.engines import torch_arithmetic
 from gbspec.training.problem import Parameters, Path, Problem, path_of
 
 
 def covered(problem: Problem) -> bool:
-    """Whether the sweeps cover a model: the lags of its doses are known."""
-    return all(problem.packed.doses.known)
+    """Whether the sweeps cover a problem: the lags of its doses are known, and its steps are fixed and explicit."""
+    fixed = problem.control is None and isinstance(METHODS[problem.module.solver], Explicit)
+    return fixed and all(problem.packed.doses.known)
 
 
 class Sweeps:

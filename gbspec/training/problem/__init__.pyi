@@ -24,6 +24,7 @@ from .parameters import Parameters as Parameters
 from .parameters import Weights as Weights
 from .path import Path as Path
 from .path import path_of as path_of
+from .path import with_doses as with_doses
 from .problem import Problem as Problem
 from .residuals import mean_loss as mean_loss
 from .residuals import measured_only as measured_only

@@ -79,6 +79,21 @@ def path_of(packed: Packed, time: Array) -> Path:
     return Path(cut, time, step, following, cuts, slope)
 
 
+def with_doses(path: Path, packed: Packed, index: Integers) -> Path:
+    """The path with another packing of the same sub-steps, whose doses are those of the path at `index` [D]; of equal
+    ones the first determines where a sub-step begins."""
+    step, owner = path.step[index], packed.doses.owner
+    order = _in_time(owner, step, path.time[index])
+    cell, following = owner[order] * (packed.depth + 1) + step[order], np.full(len(index), -1, dtype=np.int64)
+    together = np.flatnonzero(cell[1:] == cell[:-1])
+    following[order[together]] = order[together + 1]
+    first = np.zeros(len(index), dtype=np.bool_)
+    first[np.unique(index, return_index=True)[1]] = True
+    return replace(
+        path, packed=packed, time=path.time[index], step=step, following=following, cuts=path.cuts[index] & first
+    )
+
+
 def _sub_step_of(packed: Packed, time: Array) -> Integers:
     """The sub-step that contains the time of arrival `time` [E] of each dose; -1: none.
 

@@ -22,15 +22,15 @@ from gbspec.training.starts import fit_curves
 
 
 def check_disturbed(model: Model, options: TrainOptions) -> None:
-    """Raises UserError for options that a model with disturbances, a population (GB770) or delays (GB768) cannot
-    have."""
+    """Raises UserError for options that a model with disturbances (GB770) or delays (GB768) cannot have."""
     found = []
     stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
-    if stiff and (model.diffusions or model.marginal):
+    if stiff and model.diffusions:
         message = (
-            "adaptive steps are not for a model with `diffusion` or a population: steps of its likelihood are fixed"
+            "adaptive steps and stiff solvers are not for a model with `diffusion`: its likelihood takes fixed "
+            "explicit steps, or solves linear models exactly"
         )
-        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
+        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a step that is short enough for fast modes"
         found.append(Diagnostic("GB770", message, None, help=help))
     if stiff and model.delays:
         message = "adaptive steps and stiff solvers are not offered yet for a model with delays: their steps are fixed"

@@ -120,11 +120,12 @@ class _Likelihoods:
         return Planned(StageName.MARGINAL, self._most, make)
 
     def finer(self, number: int) -> Planned:
-        """The same at half the step, where that changes the likelihood."""
+        """The same at half the step (adaptive: a tenth of the tolerance), where that changes the likelihood."""
         options, weights = self._context.options, self._parameters.n_weights
 
         def shows(reached: Reached) -> bool:
-            if options.max_step is not None or list(reached.begun).count(StageName.FINER) != number - 1:
+            given = options.tolerance if self._context.adaptive else options.max_step
+            if given is not None or list(reached.begun).count(StageName.FINER) != number - 1:
                 return False
             now, half = self._objective(*reached.begun), self._objective(*reached.begun, StageName.FINER)
             change = self._at(half, reached).minus2ll - self._at(now, reached).minus2ll

@@ -20,6 +20,7 @@ from gbspec.data import Trajectories, evenly_spaced
 from gbspec.ir import AUTO, DOPRI5, RK4, STIFF, Model
 from gbspec.training.engines import rate_slopes, torch_arithmetic
 from gbspec.training.options import TrainOptions
+from gbspec.training.population import Pooled, pooled_parameters
 from gbspec.training.problem import Integers, Parameters, Problem, default_max_step
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.preparation import initial
@@ -58,8 +59,8 @@ def chosen_solver(
 ) -> tuple[str, str | None]:
     """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
 
-    Likelihoods (of innovations, or of a population) and models with delays are computed with the explicit one, so are
-    those with algebraic variables, where draws of constants are costly.
+    Likelihoods of innovations and models with delays are computed with the explicit one, so are models with algebraic
+    variables, where draws of constants are costly.
     """
     if not _may_be_stiff(model):
         return solver_of(options), None
@@ -96,7 +97,10 @@ def _by_draws(
     def losses(of: type[GeneratedModule]) -> Array:
         context = build_context(model, of, trajectories, replace(options, holdout=0.0), options.seed)
         parameters = initial(context)[0]
-        return Search(context.engine(parameters, 0.0), None, context.seed, "low").losses(theta)[1]
+        if not model.marginal:
+            return Search(context.engine(parameters, 0.0), None, context.seed, "low").losses(theta)[1]
+        search = Search(context.engine(pooled_parameters(parameters), 0.0), None, context.seed, "low")
+        return search.losses(Pooled(search, search.engine, parameters).vector(theta))[1]
 
     explicit = losses(module)
     failed = ~np.isfinite(explicit)
@@ -130,7 +134,8 @@ def decays(context: Context, parameters: Parameters, theta: Array) -> Array:
 def growth(context: Context, parameters: Parameters, theta: Array) -> tuple[float, float]:
     """The rate of growth of errors at the measured states (its mean over the trajectory in which they grow most), and
     this times the duration: the logarithm of the factor by which they grow."""
-    if not _may_be_stiff(context.model) or context.model.events:  # an event may undo what has grown
+    model = context.model
+    if not _may_be_stiff(model) or model.marginal or model.events:  # an event may undo what has grown
         return 0.0, 0.0
     problem, states = _at_data(context, parameters, theta)
     packed, worst = problem.packed, (0.0, 0.0)
@@ -227,4 +232,4 @@ def stiff_as_learned(
 
 def _may_be_stiff(model: Model) -> bool:
     """Whether the stiff solver is offered for a model."""
-    return not (model.diffusions or model.marginal or model.algebraics or model.delays)
+    return not (model.diffusions or model.algebraics or model.delays)

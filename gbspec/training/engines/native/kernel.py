@@ -68,16 +68,16 @@ class Swept:
 class Kernel:
     """The compiled solver of one model with one method in one precision.
 
-    `plans`: it can choose adaptive steps. Raises NotCoveredError for a model that it does not cover, CompilerError if
-    it cannot be compiled.
+    `blocks`: as for `gbspec.backends.source`. `plans`: it can choose adaptive steps. Raises NotCoveredError for a model
+    that it does not cover, CompilerError if it cannot be compiled.
     """
 
-    def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4) -> None:
+    def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4, blocks: int = 1) -> None:
         self.model, self.precision = model, precision
         plain, searches = with_searches(model)
-        self.library = Library(source_with(source(plain, precision, method), model, searches))
+        self.library = Library(source_with(source(plain, precision, method, blocks), model, searches))
         self.plans = precision == "float64" and method.b_error is not None
-        self.plans = self.plans and not model.delays
+        self.plans = self.plans and not model.delays and blocks == 1
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""
@@ -128,15 +128,17 @@ class Kernel:
         return out
 
 
-_kernels: dict[tuple[type[GeneratedModule], Precision], Kernel | Unable] = {}
+_kernels: dict[tuple[type[GeneratedModule], Precision, int], Kernel | Unable] = {}
 
 
-def kernel_of(model: Model, module: type[GeneratedModule], precision: Precision = "float64") -> Kernel | Unable:
-    """The kernel of a model (`module` is its generated class), or the reason why there is none."""
-    key = (module, precision)
+def kernel_of(
+    model: Model, module: type[GeneratedModule], precision: Precision = "float64", blocks: int = 1
+) -> Kernel | Unable:
+    """The kernel of a model (`module` is its generated class; `blocks` as for `Kernel`), or why there is none."""
+    key = (module, precision, blocks)
     if key not in _kernels:
         try:
-            _kernels[key] = Kernel(model, precision, METHODS[module.solver])
+            _kernels[key] = Kernel(model, precision, METHODS[module.solver], blocks)
         except NotCoveredError as error:
             _kernels[key] = Unable(Lack.MODEL, f"the native kernel does not cover this model: {error}")
         except CompilerError as error:

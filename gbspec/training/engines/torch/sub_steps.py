@@ -203,5 +203,13 @@ def dividing(slopes: Tensor, gamma: float) -> Divide:
 
 
 def solver_of(lu: Tensor, pivots: Tensor) -> Callable[[Tensor], Tensor]:
-    """The division of vectors [B, n] by factored matrices, which are constants in derivatives."""
-    return lambda b: torch.linalg.lu_solve(lu, pivots, b.unsqueeze(-1)).squeeze(-1)
+    """The division of vectors [B, k n], k blocks each, by factored matrices [B, n, n], which are constants in
+    derivatives."""
+
+    def divided(b: Tensor) -> Tensor:
+        n = lu.shape[-1]
+        blocks = b.reshape(*b.shape[:-1], b.shape[-1] // n, n).transpose(-1, -2)
+        solved: Tensor = torch.linalg.lu_solve(lu, pivots, blocks)
+        return solved.transpose(-1, -2).reshape(b.shape)
+
+    return divided
