@@ -28,6 +28,8 @@ Option = str | int | float | bool | None
 """The value of an option of training; integers stay integers."""
 OLDEST = 1
 """The oldest interface of the generated module whose runs can still be read; assumed if a run names none."""
+SPLINES = 3
+"""The first interface whose coefficients of splines have the units of `gbspec.passes.splines`."""
 DAMAGED = "restore the file from a copy, or train again into another directory"
 UNBEGUN = "its training stopped before it began: the same `gbspec train` command begins it again"
 
@@ -388,14 +390,25 @@ def _of_another_interface(directory: Path, content: Mapping[str, object], findin
     interface, wrote = content.get("interface", OLDEST), content.get("gbspec")
     if type(interface) is not int or OLDEST <= interface <= INTERFACE:
         return False
-    message = (
-        f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; "
-        f"this is gbspec {__version__}, which reads {OLDEST} to {INTERFACE}"
-    )
+    which = f"this is gbspec {__version__}, which reads {OLDEST} to {INTERFACE}"
+    _refuse(directory, wrote, interface, which, findings)
+    return True
+
+
+def check_splines(directory: Path, record: FitRecord, model: Model) -> None:
+    """Raises UserError (GB857) for splines whose coefficients are in units of an older interface."""
+    findings = Findings()
+    if record.interface < SPLINES and any(network.spline for network in model.networks):
+        which = f"coefficients of splines have other units since {SPLINES}"
+        _refuse(directory, record.gbspec, record.interface, which, findings)
+    findings.raise_if_failed()
+
+
+def _refuse(directory: Path, wrote: object, interface: int, which: str, findings: Findings) -> None:
+    message = f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; {which}"
     path = shlex.quote(str(directory / files.MODEL))
     help_text = f"use gbspec {wrote} for it, or train again with this one: `gbspec train {path} DATA -o RUN`"
     findings.error("GB857", message, None, help=help_text)
-    return True
 
 
 def _warn_of_an_older_interface(directory: Path, record: FitRecord, findings: Findings) -> None:

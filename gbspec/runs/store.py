@@ -17,7 +17,15 @@ from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, Covariance, read_certainties
 from gbspec.runs.profiles import ProfileRecord, read_profile
-from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, MemberRecord, comparable_losses, read_record
+from gbspec.runs.record import (
+    DAMAGED,
+    ConstantRecord,
+    FitRecord,
+    MemberRecord,
+    check_splines,
+    comparable_losses,
+    read_record,
+)
 
 
 @dataclass(frozen=True)
@@ -166,6 +174,7 @@ def open_run(path: str | Path, warnings: Findings | None = None) -> Run:
     if fit is None or findings.failed:
         raise UserError(findings)
     model = _model_of(directory)
+    check_splines(directory, fit, model)
     run = Run(directory, model, fit, _numbers(directory, fit))
     if not run.numbers:
         message = f"no member of the run `{directory}` has weights"

@@ -65,3 +65,23 @@ def test_a_run_of_a_newer_interface_names_who_wrote_it_and_what_to_do(run: Path,
     assert f"gbspec 7.0 for the module interface {INTERFACE + 1}" in finding.message
     assert f"which reads 1 to {INTERFACE}" in finding.message
     assert finding.help is not None and "train again" in finding.help
+
+
+def test_splines_in_other_units_are_refused(tmp_path: Path) -> None:
+    text = "model m\ntime t\nstate x in [0, 2] = 1\nx' = -f(x)\nunknown f(x in [0, 2])\n    by spline(6)\nobserve x\n"
+    (tmp_path / "m.gb").write_text(text)
+    (tmp_path / "d.csv").write_text("t,x\n" + "".join(f"{0.2 * i:.1f},{np.exp(-0.2 * i):.4f}\n" for i in range(12)))
+    options = {"effort": "low", "epochs": 1, "threads": 1}
+    gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "r", **options)  # type: ignore[arg-type]
+    open_run(tmp_path / "r")
+    fit = json.loads((tmp_path / "r" / "fit.json").read_text())
+    (tmp_path / "r" / "fit.json").write_text(json.dumps(fit | {"interface": 2}))
+    for resume in (False, True):
+        with pytest.raises(UserError) as caught:
+            if resume:
+                gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "r", resume=True, **options)  # type: ignore[arg-type]
+            else:
+                open_run(tmp_path / "r")
+        (finding,) = caught.value.diagnostics
+        assert finding.code == "GB857"
+        assert "coefficients of splines have other units" in finding.message
