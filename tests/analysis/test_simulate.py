@@ -12,6 +12,7 @@ import pytest
 from gbspec.analysis.simulation.design import measurement_times
 from gbspec.analysis.simulation.simulate import SimulateOptions, simulate
 from gbspec.arrays import Array
+from gbspec.backends import Evaluator
 from gbspec.data.fingerprints import fingerprint
 from gbspec.data.sampling import fixed
 from gbspec.data.signals import evaluate
@@ -33,6 +34,7 @@ from gbspec.ir.model import (
     Time,
     symbol,
 )
+from gbspec.operations import models
 
 
 def decay(**changes: object) -> Model:
@@ -339,3 +341,19 @@ def test_values_that_are_set_are_held() -> None:
     options = fixed(asked, {"a": 0.9, "F": 9.0, "k": 1.0}, model)
     assert options.condition == {"a": (0.9, 0.9), "F": (0.5, 0.6)}
     assert all(item.condition.tolist() == [0.9] for item in simulate(Exact(), model, options).items)
+
+
+def test_what_cannot_be_solved_is_not_tried_again_where_nothing_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bounces of a ball that falls from a given height have no end: each of 200 draws would find that anew."""
+    subject, count = models.subject("bouncing_ball", {}, Findings()), 0
+    followed = Evaluator.followed
+
+    def counted(self: Evaluator, *given: object, **options: object) -> object:
+        nonlocal count
+        count += 1
+        return followed(self, *given, **options)  # type: ignore[arg-type]  # as they were given
+
+    monkeypatch.setattr(Evaluator, "followed", counted)
+    with pytest.raises(ComputationError, match="drawn 200 times without success: 200 could not be solved"):
+        simulate(subject.evaluator, subject.model, SimulateOptions(1, span=10.0, dt=0.5, sampling="regular"))
+    assert count == 2

@@ -172,11 +172,20 @@ class _Draws:
             return plan(self.model, self.options, self.box, str(index + 1), random)
         return plan_like(self.like.items[index], self.model, self.options, self.box, random)
 
+    def _given(self, drawn: Plan) -> list[Array]:
+        """All that the solution of a plan depends on: a model that gives every start and has no range draws nothing
+        else, and would be solved in vain again and again."""
+        signals = [part for one in drawn.inputs for part in (one.times, one.values)]
+        doses = [part for one in drawn.doses for part in (one.times, one.amounts)]
+        x0 = self.evaluator.initial(drawn.x0, drawn.condition, None, drawn.inputs, drawn.start)
+        return [np.asarray(x0), np.array([drawn.start, drawn.begins]), drawn.condition, drawn.times, *signals, *doses]
+
     def solved(self, index: int, tally: Tally) -> Solved:
         """Trajectory `index`, drawn until it can be solved and is not rejected; ComputationError after 200 times."""
         random = np.random.default_rng([self.options.seed, index, 0])
         own, solver = Tally(), self.evaluator
         drawing = np.random.default_rng([self.options.seed, index, 3])
+        failed: list[Array] = []
         for _ in range(ATTEMPTS):
             drawn = self.plan(index, random)
             if drawn is None:
@@ -185,11 +194,17 @@ class _Draws:
             if self.individuals is not None:
                 values = dict(zip((c.name for c in self.model.conditions), drawn.condition.tolist(), strict=True))
                 solver = self.individuals.drawn(self.evaluator, drawing, values, self.options.seed)
+            given: list[Array] = []
             try:
+                given = self._given(drawn) if own.failed and self.individuals is None else []
+                if given and failed and all(map(np.array_equal, given, failed)):
+                    own.fail(own.reason)
+                    continue
                 shaking = np.random.default_rng([self.options.seed, index, 2])
                 solved = solve(solver, self.model, drawn, self.reject, shaking)
             except ComputationError as error:
                 own.fail(error.what)
+                failed = given
                 continue
             if isinstance(solved, Region):
                 own.reject(f"`{solved.text}` became true")
