@@ -54,15 +54,11 @@ def log_evidence(engine: Engine, theta: Array) -> float | None:
 
     The curvature of the trajectories' own parameters counts as constant, by their degrees of freedom.
     """
-    parameters = engine.parameters
-    n, total = parameters.n_weights, parameters.n_shared
-    if n == 0 or n > DENSE or int(engine.problem.seen.sum()) * total > LARGEST:
-        return None
-    system = linearise(engine, theta)
-    if not bool(np.isfinite(system.residuals.numpy()).all()):
-        return None
+    n, total = engine.parameters.n_weights, engine.parameters.n_shared
     try:
-        reduced = _Reduced.of(engine, system, theta)
+        reduced = _reduced_at(engine, theta) if n else None
+        if reduced is None:
+            return None
         matrix = reduced.matrix()
         block = matrix[n:, n:] + reduced.weak * np.eye(total - n)
         values = np.linalg.eigvalsh(matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(block, matrix[n:, :n]))
@@ -84,13 +80,10 @@ def lack_of_fit(engine: Engine, theta: Array, extra: Integers) -> tuple[float, f
     normal under its prior, the scores of the extra weights have the covariance of the Schur complement (Rao 1948).
     """
     n, total = engine.parameters.n_weights, engine.parameters.n_shared
-    if int(engine.problem.seen.sum()) * total > LARGEST or n > DENSE:
-        return None
-    system = linearise(engine, theta)
-    if not bool(np.isfinite(system.residuals.numpy()).all()):
-        return None
     try:
-        reduced = _Reduced.of(engine, system, theta)
+        reduced = _reduced_at(engine, theta)
+        if reduced is None:
+            return None
         matrix, gradient = reduced.matrix(), reduced.gradient()
         kept = np.setdiff1d(np.arange(total), extra)
         weights, rest = kept[kept < n], kept[kept >= n]
@@ -114,6 +107,17 @@ def lack_of_fit(engine: Engine, theta: Array, extra: Integers) -> tuple[float, f
     effective = float(np.sum(np.maximum(values, 0.0) / (np.maximum(values, 0.0) + ridge)))
     count = float(told.sum())
     return gain / max(reduced.squares, 1e-300), count, reduced.count - others - effective - count
+
+
+def _reduced_at(engine: Engine, theta: Array) -> _Reduced | None:
+    """The normal matrix at a vector; None if it would take too long, or residuals are not finite."""
+    n, total = engine.parameters.n_weights, engine.parameters.n_shared
+    if n > DENSE or int(engine.problem.seen.sum()) * total > LARGEST:
+        return None
+    system = linearise(engine, theta)
+    if not bool(np.isfinite(system.residuals.numpy()).all()):
+        return None
+    return _Reduced.of(engine, system, theta)
 
 
 @dataclass(frozen=True)
