@@ -2,13 +2,15 @@
 
 A Levenberg-Marquardt method on the expected information (Fisher scoring), whose matrix needs first derivatives only and
 is never indefinite. Weights of networks have a normal prior whose precision is that of the evidence (MacKay 1992):
-with the effective number of weights gamma it is gamma / |w|^2. Constants have the priors that the model states.
+with the effective number of weights gamma it is gamma / |w|^2. Constants have the priors that the model states. The
+sizes of disturbances and noises are those of the restricted likelihood.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -19,7 +21,9 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.levenberg_marquardt import Certainty
 from gbspec.training.optimise.priors import Priors
+from gbspec.training.optimise.restricted import Restricted, sizes, slope
 from gbspec.training.optimise.stage import Outcome, State, scalar
+from gbspec.training.problem import Integers
 
 ATTEMPTS = 12
 """Number of dampings tried in one iteration before the stage ends."""
@@ -29,8 +33,9 @@ weight it is 2."""
 SMALL = 1e-4
 """The stage ends when two steps raise the log likelihood by less: constants are then within hundredths of their sd."""
 SETTLED = 1.0
-"""Weights' prior is estimated from iterations that raise the log likelihood by less. Far from the maximum noises and
-disturbances are still so large that no function shows: the prior would shrink weights to nothing, and stay."""
+"""Weights' prior is estimated from iterations that raise the log likelihood by less, and the restricted likelihood is
+taken from the first of them on. Far from the maximum noises and disturbances are still so large that no function shows:
+the prior would shrink weights to nothing, and stay."""
 FIRST = 1e-2
 """The first precision of weights, over that of their first values."""
 SCALES = ((1.0, 0.0), (0.1, -2.0))
@@ -110,23 +115,29 @@ class InnovationsFit:
             "damping": np.array(1e-2),
             "ridge": np.array(ridge if len(weights) else 0.0),
             "small": np.array(0.0),
+            "settled": np.array(0.0),
+            **_stored(Restricted.none(self.engine.layout.size)),
             **dict.fromkeys(MOMENTS, np.zeros((0, 0))),
         }
 
     def _scaled(self, theta: Array, factor: float) -> Array:
         """The vector with learned constants that occur only in disturbances multiplied by a factor."""
         parameters, model = self.engine.parameters, self.engine.problem.model
-        inside = {symbol for diffusion in model.diffusions for symbol in diffusion.value.free_symbols}
-        elsewhere = {symbol for value in model.inlined(model.balances) for symbol in value.free_symbols}
         out = theta.copy()
+        if factor == 1.0:
+            return out
         with torch.no_grad():
             values = parameters.constants(torch.from_numpy(theta)).numpy()[0, len(model.constants) :]
-        for place, index in enumerate(parameters.shared):
-            if model.learnables[index].symbol in inside - elsewhere:
-                entry = parameters.n_weights + place
-                moved = parameters.bijections((index,)).from_natural(np.array([factor * values[index]]))[0]
-                out[entry] = moved if factor != 1.0 else theta[entry]
+        for entry in self._sizes[self._sizes < len(theta)]:
+            index = parameters.shared[entry - parameters.n_weights]
+            moved = parameters.bijections((index,)).from_natural(np.array([factor * values[index]]))
+            out[entry] = moved[0]
         return out
+
+    @cached_property
+    def _sizes(self) -> Integers:
+        """The entries that are sizes of disturbances and noises."""
+        return sizes(self.engine)
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration; after `ROUND` of them the next vector, and after the last one the best goes on."""
@@ -150,38 +161,55 @@ class InnovationsFit:
     def _iteration(self, state: State, iteration: int) -> Outcome:
         """One iteration: the information, and as many dampings as are needed for a higher likelihood."""
         engine, vector = self.engine, np.concatenate([state["theta"], state["log_sd"]])
-        damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
+        damping, ridge, settled = (scalar(state, name) for name in ("damping", "ridge", "settled"))
         system = self._system(vector, ridge, _moments(state))
         if not system.found.finite:
             raise self._failure(vector, system.found)
+        term = self._restricted(state, system, vector, ridge) if settled else _restored(state)
+        system = replace(system, gradient=system.gradient + term.slope)
         count = max(int(engine.problem.seen.sum()), 1)
         for _ in range(ATTEMPTS):
             move = self._move(system, damping, vector)
             predicted = -float(system.gradient @ move + 0.5 * move @ system.matrix @ move)
             trial = vector + move
             found = engine.filtered(trial, guess=system.found.guess)
-            value = self._value(trial, ridge, found)
-            if value < system.value:
+            gain = system.value - self._value(trial, ridge, found) - float(term.slope @ move)
+            if gain > 0 or abs(predicted) < SMALL:
                 break
-            if abs(predicted) < SMALL:
-                return Outcome(state, system.found.value / count, True)
             damping *= 4.0
-        else:
-            return Outcome(state, system.found.value / count, True)
-        gain = (system.value - value) / max(predicted, 1e-300)
+        if not gain > 0:
+            # The likelihood rests; the restricted one is yet to be maximised.
+            return Outcome(state | {"settled": np.array(1.0)}, system.found.value / count, settled > 0)
         theta, log_sd = engine.layout.split(trial)
-        if self.precision is None and engine.parameters.n_weights and system.value - value < SETTLED:
+        if self.precision is None and engine.parameters.n_weights and gain < SETTLED:
             ridge = self._evidence(system, trial, ridge)
-        small = small + 1 if min(system.value - value, predicted) < SMALL * max(1.0, 1e-3 * abs(value)) else 0.0
+        rests = settled > 0 and min(gain, predicted) < SMALL * max(1.0, 1e-3 * abs(system.value - gain))
+        small = scalar(state, "small") + 1 if rests else 0.0
+        faster = 0.2 if gain / max(predicted, 1e-300) > 0.5 else 2.0
         new: State = {
             "theta": theta,
             "log_sd": log_sd,
-            "damping": np.array(float(np.clip(damping * (0.2 if gain > 0.5 else 2.0), 1e-9, 1e6))),
+            "damping": np.array(float(np.clip(damping * faster, 1e-9, 1e6))),
             "ridge": np.array(ridge),
             "small": np.array(small),
+            "settled": np.array(float(settled > 0 or gain < SETTLED)),
+            **_stored(replace(term, age=term.age + 1)),
             **dict(zip(MOMENTS, found.guess, strict=True)),
         }
         return Outcome(new, found.value / count, small >= 2)
+
+    def _restricted(self, state: State, system: _System, vector: Array, ridge: float) -> Restricted:
+        """The restricted likelihood's term at a vector: that of the state while it fits."""
+        engine, term = self.engine, _restored(state)
+        at = np.append(vector[self._sizes], np.log(max(ridge, 1e-300)))
+        if term.fits(at):
+            return term
+
+        def near(other: Array) -> Array | None:
+            found = self._system(other, ridge, system.found.guess)
+            return found.matrix if found.found.finite else None
+
+        return Restricted(slope(self._sizes, engine.layout.free, vector, system.matrix, near), at, 0)
 
     def _move(self, system: _System, damping: float, vector: Array) -> Array:
         """The damped step within a box: no entry longer than allowed, and no noise below the least.
@@ -295,6 +323,16 @@ class InnovationsFit:
         freedom = float(np.sum(known & (engine.layout.free > 0)))
         deviations = np.where(known[places], np.abs(slopes) * sd[places], np.nan)
         return Certainty(deviations, block / np.outer(roots, roots), freedom, own)
+
+
+def _stored(term: Restricted) -> State:
+    """The restricted likelihood's term as it is kept in a state."""
+    return {"slope": term.slope, "slope_at": term.at, "slope_age": np.array(float(term.age))}
+
+
+def _restored(state: State) -> Restricted:
+    """The term that is kept in a state."""
+    return Restricted(state["slope"], state["slope_at"], int(scalar(state, "slope_age")))
 
 
 def _moments(state: State) -> Guess | None:

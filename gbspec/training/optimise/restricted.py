@@ -1,0 +1,100 @@
+"""The restricted likelihood of the sizes of disturbances and noises.
+
+The likelihood at its maximum takes the other entries (weights, constants, initial states) as if they were known, so
+that it ascribes too little to disturbances and noises, the more the fewer values there are for each of them: it divides
+by n where n - p is right. The restricted likelihood (Patterson and Thompson 1971; its approximation for models that are
+not linear: Harville 1977) has the other entries integrated out. In Laplace's approximation this adds log det H_dd / 2
+to the negative log likelihood, H_dd being their information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.training.engines import FilterEngine
+from gbspec.training.problem import Integers
+
+STEP = 1e-3
+"""The change of an entry (a logarithm, or nearly) along which the information's change is taken. The term is of the
+order p/n beside the gradient, which is exact, so that its relative error of this size does not show."""
+LEAST = 1e-7
+"""The smallest information of a combination of entries, over the largest, whose change can be told from rounding."""
+MOVED = 0.01
+"""The term is computed again where the logarithm of a size has changed by this, or that of the weights' precision by
+twice as much."""
+OLD = 10
+"""The term is computed again after so many iterations."""
+
+
+def sizes(engine: FilterEngine) -> Integers:
+    """The entries of the vector that are sizes of disturbances (constants that trajectories share and that occur in
+    `diffusion` alone) or of noises."""
+    parameters, model = engine.parameters, engine.problem.model
+    inside = {symbol for diffusion in model.diffusions for symbol in diffusion.value.free_symbols}
+    elsewhere = {symbol for value in model.inlined(model.balances) for symbol in value.free_symbols}
+    shared = [
+        parameters.n_weights + place
+        for place, index in enumerate(parameters.shared)
+        if model.learnables[index].symbol in inside - elsewhere
+    ]
+    noises = np.arange(parameters.size, engine.layout.size)
+    return np.concatenate([np.array(shared, dtype=np.int64), noises.astype(np.int64)])
+
+
+@dataclass(frozen=True)
+class Restricted:
+    """The gradient [size] of log det H_dd / 2 by the sizes, zero elsewhere, with where and how long ago it was found.
+
+    An iteration maximises the likelihood with this gradient held; where it rests, the restricted likelihood does.
+    """
+
+    slope: Array
+    at: Array
+    age: int
+
+    @classmethod
+    def none(cls, size: int) -> Restricted:
+        """No term: the likelihood itself."""
+        return cls(np.zeros(size), np.zeros(0), 0)
+
+    @property
+    def known(self) -> bool:
+        """Whether the term has been computed."""
+        return bool(len(self.at))
+
+    def fits(self, at: Array) -> bool:
+        """Whether the term is still that of the sizes `at`, the last of which is the logarithm of a precision."""
+        if not self.known or self.age >= OLD:
+            return False
+        moved = np.abs(at - self.at)
+        moved[-1] *= 0.5
+        return bool((moved <= MOVED).all())
+
+
+def slope(entries: Integers, free: Array, vector: Array, matrix: Array, at: Callable[[Array], Array | None]) -> Array:
+    """The gradient [size] of log det H_dd / 2 by the `entries`, H_dd being the block of the other free entries.
+
+    `matrix` is the information at `vector`, and `at(vector)` that at a vector nearby (None where there is none).
+    """
+    out = np.zeros(len(vector))
+    others = (free > 0) & (np.diag(matrix) > 0)
+    others[entries] = False
+    if not others.any():
+        return out
+    block = matrix[np.ix_(others, others)]
+    scale = 1 / np.sqrt(np.diag(block))
+    inverse = np.linalg.pinv(block * np.outer(scale, scale), rcond=LEAST, hermitian=True) * np.outer(scale, scale)
+    for entry in entries[free[entries] > 0]:
+        near = vector.copy()
+        near[entry] += STEP
+        found = at(near)
+        if found is not None:
+            out[entry] = 0.5 * np.sum(inverse * (found[np.ix_(others, others)] - block)) / STEP
+    return out
+
+
+__all__ = ["Restricted", "sizes", "slope"]

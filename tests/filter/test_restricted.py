@@ -1,0 +1,80 @@
+"""Sizes of disturbances and noises are those of the restricted likelihood."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import minimize
+
+from gbspec.arrays import Array
+from gbspec.data import Trajectories, read
+from gbspec.diagnostics import Findings
+from gbspec.frontend import load_model
+from gbspec.runs import Run
+from gbspec.training import TrainOptions, filter_run, train
+
+DRIFT = """model drift
+time t
+state x in [-100, 100] = 0
+input u in [-2, 2] held
+learn a = 0.1 in [-10, 10]
+learn b = 0.1 in [-10, 10]
+learn s = 0.3 in [0, 10]
+x' = a + b*u
+diffusion x = s
+observe x noise normal(1e-4)
+"""
+
+
+QUICK = TrainOptions(effort="low", backend="torch", device="cpu")
+
+
+def fitted(text: str, x: Array, u: Array, folder: Path) -> tuple[Run, Trajectories]:
+    """A run and its data of a model of `x`, one row each time unit, with an input `u` that is held."""
+    rows = [f"{t},{x[t]:.8f},{u[min(t, len(u) - 1)]:.8f}" for t in range(len(x))]
+    (folder / "m.gb").write_text(text, encoding="utf-8")
+    (folder / "d.csv").write_text("\n".join(["t,x,u", *rows]) + "\n", encoding="utf-8")
+    model = load_model(folder / "m.gb", Findings())
+    data = read(folder / "d.csv", model, Findings())
+    return train(model, data, QUICK, folder / "run"), data
+
+
+def test_increments_have_the_variance_of_a_regression(tmp_path: Path) -> None:
+    # Exactly measured: increments are independent, with means of two constants, so that the restricted likelihood
+    # divides their squares by n - 2, and the likelihood by n.
+    rng, n = np.random.default_rng(2), 12
+    u = rng.uniform(-2, 2, n)
+    x = np.concatenate([[0.0], np.cumsum(1 + 0.5 * u + rng.standard_normal(n))])
+    run, _ = fitted(DRIFT, x, u, tmp_path)
+    columns = np.stack([np.ones(n), u], axis=1)
+    best, squares, *_ = np.linalg.lstsq(columns, np.diff(x), rcond=None)
+    found = [run.fit.constants[name].value for name in ("a", "b", "s")]
+    np.testing.assert_allclose(found[:2], best, rtol=1e-3)
+    np.testing.assert_allclose(found[2], np.sqrt(squares[0] / (n - 2)), rtol=2e-3)
+
+
+def test_disturbance_and_noise_are_those_of_a_dense_restricted_likelihood(tmp_path: Path) -> None:
+    rng, n = np.random.default_rng(5), 40
+    u = rng.uniform(-2, 2, n - 1)
+    level = np.concatenate([[3.0], 3 + np.cumsum(1 + 0.5 * u + 0.5 * rng.standard_normal(n - 1))])
+    x = level + 0.5 * rng.standard_normal(n)
+    run, data = fitted(DRIFT.replace(" noise normal(1e-4)", ""), x, u, tmp_path)
+
+    t = np.arange(n)
+    columns = np.stack([t, np.concatenate([[0.0], np.cumsum(u)])], axis=1)
+    start = np.full((n, n), filter_run(run, data, 0).engine.start_variance[0, 0])
+
+    def restricted(logs: Array) -> float:
+        s, r = np.exp(2 * logs)
+        whole = start + s * np.minimum(t[:, None], t) + r * np.eye(n)
+        inverse = np.linalg.inv(whole)
+        normal = columns.T @ inverse @ columns
+        rest = (x - x[0]) - columns @ np.linalg.solve(normal, columns.T @ inverse @ (x - x[0]))
+        return float(np.linalg.slogdet(whole)[1] + np.linalg.slogdet(normal)[1] + rest @ inverse @ rest)
+
+    best = np.exp(minimize(restricted, np.log([0.5, 0.5]), method="Nelder-Mead", options={"xatol": 1e-6}).x)
+    likelihood = run.fit.members[0].likelihood
+    assert likelihood is not None
+    found = run.fit.constants["s"].value, likelihood.noise["x"].value
+    np.testing.assert_allclose(found, best, rtol=5e-3)
