@@ -90,4 +90,5 @@ def test_both_come_to_the_same_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert len(swept) > 2
     assert any(swept) == (method != "lm")
     losses = [fit.fit.members[0].loss for fit in fits]
-    assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+    # Adam's first steps divide gradients by their own size, so that entries near zero move by their rounding.
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5 if method == "adam" else 1e-6)
