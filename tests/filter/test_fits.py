@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -236,3 +237,43 @@ def test_the_innovations_are_drawn(fitted: tuple[Run, Trajectories]) -> None:
 
     run, data = fitted
     assert len(innovations.build(Source(run, data)).rows[0][0].rows[0].panels) == 3
+
+
+RELAXING = """model relaxing
+time t
+state X in [-5, 5] = 3
+learn s = 0.3 in [0, 5]
+unknown k(X in [-4, 4]) = 1*nn by mlp(6)
+X' = k(X)*(1 - X)
+diffusion X = s
+observe X noise normal(0.05)
+"""
+
+
+def relaxing(folder: Path, rate: Callable[[float], float], disturbance: float, rows: int) -> Run:
+    """A fit of data that relax to 1 with a rate which depends on the state as given."""
+    model, lines, x = model_in(folder, RELAXING), ["trajectory,t,X"], 0.0
+    rng = np.random.default_rng(3)
+    for name, start in (("a", -3.0), ("b", 4.0)):
+        x = start
+        for i in range(10 * rows):
+            if i % 10 == 0:
+                lines.append(f"{name},{0.02 * i:.2f},{x + 0.05 * rng.standard_normal():.6f}")
+            x += 0.02 * rate(x) * (1 - x) + disturbance * np.sqrt(0.02) * rng.standard_normal()
+    (folder / "d.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return train(model, read(folder / "d.csv", model, Findings()), FAST, folder / "run")
+
+
+def test_a_function_that_the_data_do_not_show_stays_constant_and_is_named(tmp_path: Path) -> None:
+    run = relaxing(tmp_path, lambda x: 1.0, 0.5, rows=10)
+    at = np.linspace(-3, 3, 13)
+    assert np.ptp(Evaluator(run.member(0)).functions_many("k", at[:, None])) < 1e-3
+    assert [one for one in run.fit.warnings if "do not show how `k` changes" in one]
+
+
+def test_a_function_that_the_data_show_is_kept(tmp_path: Path) -> None:
+    run = relaxing(tmp_path, lambda x: 1 / (1 + np.exp(-2 * x)), 0.1, rows=40)
+    at = np.linspace(-2, 3, 11)
+    found = Evaluator(run.member(0)).functions_many("k", at[:, None]).ravel()
+    assert np.abs(found - 1 / (1 + np.exp(-2 * at))).max() < 0.2
+    assert not [one for one in run.fit.warnings if "do not show how" in one]

@@ -40,6 +40,9 @@ FIRST = 1e-2
 """The first precision of weights, over that of their first values."""
 SCALES = ((1.0, 0.0), (0.1, -2.0))
 """Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
+PINNED, LAST = 100.0, 0.2
+"""The precision of weights with which functions are constants unless the data insist: that of the fit with which the
+one with functions is compared. The share of the iterations that is left for it."""
 STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
 MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov")
@@ -99,6 +102,8 @@ class InnovationsFit:
             "waiting": np.array([starts[i] for i in order[1:]]).reshape(-1, len(starts[0])),
             "best": np.zeros(0),
             "best_value": np.array(np.inf),
+            "shown": np.zeros(0),
+            "shown_ridge": np.array(0.0),
             "left": np.array(float(ROUND if len(order) > 1 else self.total)),
         }
 
@@ -145,7 +150,7 @@ class InnovationsFit:
         left = scalar(state, "left") - 1
         new = {**state, **outcome.state, "left": np.array(left)}
         if not len(state["waiting"]) and not len(state["best"]):
-            return Outcome(new, outcome.loss, outcome.done)
+            return self._compared(new, outcome, iteration)
         if left > 0 and not outcome.done:
             return Outcome(new, outcome.loss, False)
         vector = np.concatenate([new["theta"], new["log_sd"]])
@@ -157,6 +162,50 @@ class InnovationsFit:
             return Outcome(new, outcome.loss, False)
         new |= {**self._begun(new["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
         return Outcome(new, scalar(new, "best_value"), False)
+
+    def _compared(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
+        """An iteration of the best start. Where the fit with unknown functions rests, one follows in which these are
+        constants, and of both the one with the smaller criterion is kept."""
+        weights = self.engine.parameters.n_weights
+        if self.precision is not None or not weights:
+            return Outcome(state, outcome.loss, outcome.done)
+        vector, shown = np.concatenate([state["theta"], state["log_sd"]]), state["shown"]
+        if not len(shown):
+            if not outcome.done and iteration + 1 < (1 - LAST) * self.total:
+                return Outcome(state, outcome.loss, False)
+            kept = {"shown": vector, "shown_ridge": state["ridge"]}
+            begin = vector.copy()
+            begin[:weights] = 0.0
+            return Outcome({**state, **self._begun(begin), **kept, "ridge": np.array(PINNED)}, outcome.loss, False)
+        if not outcome.done and iteration + 1 < self.total:
+            return Outcome(state, outcome.loss, False)
+        count, ridge = max(int(self.engine.problem.seen.sum()), 1), scalar(state, "shown_ridge")
+        if self._criterion(shown, ridge) < self._criterion(vector, PINNED):
+            theta, log_sd = self.engine.layout.split(shown)
+            state = {**state, "theta": theta, "log_sd": log_sd, "ridge": np.array(ridge)}
+            state |= dict.fromkeys(MOMENTS, np.zeros((0, 0)))
+            outcome = Outcome(state, self.engine.value(shown) / count, True)
+        constant = scalar(state, "ridge") >= PINNED
+        return Outcome(state, outcome.loss, True, self._constant() if constant else "")
+
+    def _constant(self) -> str:
+        """What is said where functions are constant."""
+        names = " and ".join(f"`{unknown.name}`" for unknown in self.engine.problem.model.unknowns)
+        return (
+            f"the data do not show how {names} changes: by the corrected information criterion a constant network is "
+            "as good; only longer or further trajectories can show more"
+        )
+
+    def _criterion(self, vector: Array, ridge: float) -> float:
+        """Hurvich, Simonoff and Tsai's information criterion with the effective number of entries; infinite where there
+        are more of these than values."""
+        system = self._system(vector, ridge)
+        if not system.found.finite:
+            return float("inf")
+        information = self.engine.information(vector, system.found).matrix
+        effective = float(np.sum(_inverse(system.matrix, self.engine.layout.free) * information))
+        left = int(self.engine.problem.seen.sum()) - effective - 1
+        return 2 * (system.found.value + effective * (1 + (effective + 1) / left)) if left > 0 else float("inf")
 
     def _iteration(self, state: State, iteration: int) -> Outcome:
         """One iteration: the information, and as many dampings as are needed for a higher likelihood."""
@@ -181,7 +230,8 @@ class InnovationsFit:
             # The likelihood rests; the restricted one is yet to be maximised.
             return Outcome(state | {"settled": np.array(1.0)}, system.found.value / count, settled > 0)
         theta, log_sd = engine.layout.split(trial)
-        if self.precision is None and engine.parameters.n_weights and gain < SETTLED:
+        estimated = self.precision is None and engine.parameters.n_weights and not len(state["shown"])
+        if estimated and gain < SETTLED:
             ridge = self._evidence(system, trial, ridge)
         rests = settled > 0 and min(gain, predicted) < SMALL * max(1.0, 1e-3 * abs(system.value - gain))
         small = scalar(state, "small") + 1 if rests else 0.0
