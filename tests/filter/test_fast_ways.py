@@ -67,6 +67,33 @@ def test_forward_mode_is_that_of_torch(tmp_path: Path, text: str) -> None:
     same(fast, plain, vector)
 
 
+GIVEN = (
+    "model m\ntime t\nstate x in [0, 5] = 1\nstate v in [0, 5] = 1\ninput u in [-1, 1] linear\n"
+    "condition c in [0, 3]\nlearn k = 0.7 in [0.1, 3] per trajectory\nlearn s = 0.2 in [0, 2]\n"
+    "unknown q(x in [0, 5], v in [0, 5])\n    >= 0, increasing in x\n    = x*nn\n    by mlp(3)\n"
+    "x' = u + c*v - q(x, v)\nv' = -k*v + t*exp(-x)\ndiffusion x = s*x\ndiffusion v = s*(1 + v^2)*c\n"
+    "observe x noise lognormal(0.1)\nobserve y = x*v + q(x, v)*u\n"
+)
+"""A network with contracts, conditions, inputs, and both kinds of coordinates and channels."""
+
+
+def given() -> str:
+    lines = table("x y", rows=9).splitlines()
+    return "\n".join([lines[0] + ",c", *(f"{line},{1 + int(line[0])}" for line in lines[1:])]) + "\n"
+
+
+@pytest.mark.parametrize("text", [WITH_NETWORK, GIVEN], ids=["network", "given"])
+def test_values_by_numpy_are_those_of_torch(tmp_path: Path, text: str) -> None:
+    data = given() if text is GIVEN else table("X V y", rows=9)
+    fast, vector = engine_of(tmp_path, text, data)
+    plain = replace(fast)
+    plain.__dict__["functions"] = Functions(fast.functions.local, None)
+    one, other = fast.filtered(vector), plain.filtered(vector)
+    assert np.isfinite(one.value)
+    assert one.value == pytest.approx(other.value, rel=1e-11)
+    np.testing.assert_allclose(one.end_cov, other.end_cov, rtol=1e-8, atol=1e-12)
+
+
 def test_models_with_networks_and_arrays_are_left_to_torch(tmp_path: Path) -> None:
     found, _ = engine(tmp_path, WITH_NETWORK)
     assert found.functions.forward is None

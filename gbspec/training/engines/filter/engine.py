@@ -32,6 +32,7 @@ from gbspec.training.engines.filter.recursion import Flow, Innovations, Moment, 
 from gbspec.training.engines.filter.result import Filtered, Guess, Information, Sums
 from gbspec.training.engines.filter.search import Search
 from gbspec.training.engines.filter.smoother import smoothed
+from gbspec.training.engines.filter.values import Values, values_cover
 from gbspec.training.problem import Integers, Parameters, Path, Problem
 
 SPREAD = 1.0
@@ -89,7 +90,8 @@ class FilterEngine:
         """The functions of legs and rows."""
         model = self.problem.model
         local = Local(self.problem, self.parameters, self.coordinates, self.noise.log, linear_in_states(model))
-        return Functions(local, Forward(local) if covers(model) else None)
+        values = Values(local) if values_cover(model) else None
+        return Functions(local, Forward(local) if covers(model) else None, values)
 
     @cached_property
     def exact(self) -> Exact | None:

@@ -12,20 +12,24 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.training.engines.filter.forward import Forward
 from gbspec.training.engines.filter.local import Arrays, Evaluated, Local, Parts, evaluate
+from gbspec.training.engines.filter.values import Values
 
 
 @dataclass(frozen=True)
 class Functions:
     """The functions at B points with coordinates `z` [B, n], constants `k` [B, k] and the weights `w`; `forward` is
-    None for models that need torch."""
+    None for models that need torch, and `values` for those that need it without derivatives too."""
 
     local: Local
     forward: Forward | None
+    values: Values | None = None
 
     def field(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
         """`Local.field`."""
         if self.forward is not None:
             return self.forward.field(z, k, data, derivatives)
+        if self.values is not None and not derivatives:
+            return self.values.field(z, k, w, data)
         return _by_torch(self.local.field, z, k, w, data, derivatives)
 
     def dosed(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
@@ -38,6 +42,8 @@ class Functions:
         """`Local.observation`."""
         if self.forward is not None:
             return self.forward.observation(z, k, data, derivatives)
+        if self.values is not None and not derivatives:
+            return self.values.observation(z, k, w, data)
         return _by_torch(self.local.observation, z, k, w, data, derivatives)
 
     def tangent(self, z: Array, k: Array, w: Tensor, data: Arrays, derivatives: bool) -> Evaluated:
