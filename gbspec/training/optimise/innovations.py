@@ -37,8 +37,8 @@ SCALES = ((1.0, 0.0), (0.1, -2.0))
 """Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
 STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
-MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov")
-"""The filter's moments in the state, from which the next search of them begins."""
+MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov", "shares")
+"""The filter's moments and steps in the state, from which the next search of them begins."""
 FLAT = 1e-8
 """Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
 
@@ -298,9 +298,9 @@ class InnovationsFit:
 
 
 def _moments(state: State) -> Guess | None:
-    """The filter's moments at the vector of a state, if they are known."""
-    a, b, c, d = (state[name] for name in MOMENTS)
-    return (a, b, c, d) if len(a) else None
+    """The filter's moments and steps at the vector of a state, if they are known."""
+    a, b, c, d, e = (state[name] for name in MOMENTS)
+    return (a, b, c, d, e) if len(a) else None
 
 
 def _inverse(matrix: Array, free: Array) -> Array:

@@ -46,7 +46,7 @@ class Exact:
         parts = mean, a.value[group], q.value[group]
         if not derivatives:
             return Evaluated(parts)
-        tables = [np.moveaxis(each.slopes, 0, -1)[group] for each in (a, q, *j)]
+        tables = [each.slopes.swapaxes(2, 3)[group] for each in (a, q, *j)]
 
         def combined(columns: slice, of_push: Arrays) -> Arrays:
             da, dq, *dj = (table[..., columns] for table in tables)
@@ -74,12 +74,12 @@ def _flow(factors: Arrays, slopes: list[Array], h: Array, orders: int) -> list[M
     (f, spread), (df, ds) = factors, slopes
     active = np.flatnonzero((df != 0).any(axis=(0, 1, 2)) | (ds != 0).any(axis=(0, 1)))
     one = np.eye(spread.shape[1])
-    by_spread = np.moveaxis(2 * spread[..., None] * ds[..., active], -1, 0)[..., None] * one
+    by_spread = (2 * spread[..., None] * ds[..., active])[:, :, :, None] * one[:, None]
     d = Matrices(spread[:, :, None] ** 2 * one, by_spread)
     found = []
-    for each in propagators(Matrices(f, np.moveaxis(df[..., active], -1, 0)), d, h, orders):
-        whole = np.zeros((df.shape[-1], *f.shape))
-        whole[active] = each.slopes
+    for each in propagators(Matrices(f, df[..., active].swapaxes(2, 3)), d, h, orders):
+        whole = np.zeros((*spread.shape, df.shape[-1], spread.shape[1]))
+        whole[:, :, active] = each.slopes
         found.append(Matrices(each.value, whole))
     return found
 

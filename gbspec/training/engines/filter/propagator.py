@@ -28,32 +28,41 @@ MOST = 60
 
 @dataclass(frozen=True)
 class Matrices:
-    """Matrices [G, n, n] with their derivatives [p, G, n, n]."""
+    """Matrices [G, n, n] with their derivatives in p variables [G, n, p, n]: in this order their products with matrices
+    are products of large matrices, on either side."""
 
     value: Array
     slopes: Array
 
     def __matmul__(self, other: Matrices) -> Matrices:
-        return Matrices(self.value @ other.value, self.slopes @ other.value + self.value @ other.slopes)
+        value = self.value @ other.value
+        if not self.slopes.shape[2]:
+            return Matrices(value, self.slopes)
+        groups, n, p, _ = self.slopes.shape
+        slopes = (self.slopes.reshape(groups, n * p, n) @ other.value).reshape(groups, n, p, n)
+        slopes += (self.value @ other.slopes.reshape(groups, n, p * n)).reshape(groups, n, p, n)
+        return Matrices(value, slopes)
 
     def __add__(self, other: Matrices) -> Matrices:
         return Matrices(self.value + other.value, self.slopes + other.slopes)
 
     def times(self, factor: Array | float) -> Matrices:
-        """Multiplied by numbers [G, 1, 1]."""
+        """Multiplied by a number, or by one for each matrix [G]."""
+        if isinstance(factor, np.ndarray):
+            return Matrices(self.value * factor[:, None, None], self.slopes * factor[:, None, None, None])
         return Matrices(self.value * factor, self.slopes * factor)
 
     @property
     def transposed(self) -> Matrices:
         """The transposed matrices."""
-        return Matrices(self.value.swapaxes(-1, -2), self.slopes.swapaxes(-1, -2))
+        return Matrices(self.value.swapaxes(1, 2), self.slopes.swapaxes(1, 3))
 
 
 def propagators(f: Matrices, d: Matrices, h: Array, orders: int) -> list[Matrices]:
     """e^{Fh}, Q, and the first `orders` (at most 3) of J0, J1 and J2, for G lengths `h`."""
     zero = Matrices(np.zeros_like(f.value), np.zeros_like(f.slopes))
     doublings = _needed(f.value, h)
-    s = (h / 2.0**doublings)[:, None, None]
+    s = h / 2.0**doublings
     unit = Matrices(zero.value + np.eye(f.value.shape[-1]), zero.slopes)
     e, q, j, power, lie = zero, zero, [zero] * orders, unit, d
     for i in range(TERMS):
@@ -63,7 +72,8 @@ def propagators(f: Matrices, d: Matrices, h: Array, orders: int) -> list[Matrice
             j[order] = j[order] + power.times(scale * s ** (i + order + 1))
         power = f @ power
         e = e + power.times(s ** (i + 1) / math.factorial(i + 1))
-        lie = f @ lie + (f @ lie.transposed).transposed
+        half = f @ lie  # which is symmetrical
+        lie = half + half.transposed
     for _ in range(doublings):
         a = unit + e
         q = q + a @ q @ a.transposed
