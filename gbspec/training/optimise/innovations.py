@@ -253,13 +253,15 @@ class InnovationsFit:
         step = min(int(legs.first[first]), max(packed.depth - 1, 0))
         time = float(packed.t[step, owner]) if packed.depth else float(packed.start[owner])
         x = engine.coordinates.states(found.start_mean[first])
+        fixed = engine.tolerance is None and engine.exact is None
+        steps = "a smaller `--max-step`, `--solver ros34pw2` (for stiff equations), " if fixed else ""
         values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(engine.problem.model.states, x, strict=True))
         return ComputationError(
             f"the filter's moments are not finite in stage `{self.name}`",
             where=f"trajectory `{packed.labels[owner]}` at {engine.problem.model.time.name} = {time:.6g}, "
             f"where {values}",
-            remedy="try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range "
-            "and a start for each state (`state x in [0, 1] = 0.5`)",
+            remedy=f"try {steps}bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range and a start for "
+            "each state (`state x in [0, 1] = 0.5`)",
         )
 
     # ---------------------------------------------------------------- what is known at the end

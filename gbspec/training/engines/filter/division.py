@@ -17,8 +17,8 @@ from gbspec.training.problem import Control, Integers
 LOOSE = 100.0
 """Covariances count by their own sizes, and with this many times the tolerance: what an error of a variance by one in a
 thousand changes in the likelihood of a value is beyond what the value says."""
-ORDER = 3
-"""The order of steps."""
+ORDER = 2
+"""The order of covariances in the length of a step."""
 SAFETY, PIECES, MOST = 1.1, 5, 4096
 """The factor on the number of pieces that the error estimate asks for, their largest number in one round, and the most
 steps in a sub-step: one that needs more has no solution."""

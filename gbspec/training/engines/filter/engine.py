@@ -224,8 +224,9 @@ class FilterEngine:
         if lost.any():
             found.lost(index[lost])
             return index[:0]
-        found.divide(index[more], new[more])
-        return index[more]
+        changed: Integers = index[more]
+        found.divide(changed, new[more])
+        return changed
 
     def linearised(self, vector: Array, moments: Guess, seen: Mask) -> Filtered:
         """The filter of the linear model that fits this one best at given moments."""

@@ -3,14 +3,19 @@
 The matrix F of the best linear function of the drift varies within a step h. With those at its start, middle and end,
 F0, Fm and F1, the transition of dA/dt = F A is
 
-    A = e^{h F" / 2} e^{h F' / 2},    F' = F0/2 + 2 Fm/3 - F1/6,    F" = -F0/6 + 2 Fm/3 + F1/2,
+    A = e^{h F1 / 6} e^{2 h Fm / 3} e^{h F0 / 6},
 
-of order 4 (commutator-free: Blanes and Moan 2006, Appl. Numer. Math. 56, 1519; Alvermann and Fehske 2011, J. Comput.
-Phys. 230, 5930), and the same combinations of the squares of the disturbances have the exact integrals Q of
-`propagator.py` in each half: modes that decay within a step have the variance at which they rest. What is left of the
-drift, E f - F (m - m0), is a parabola through its values at the three times (an exponential Rosenbrock method:
-Hochbruck and Ostermann 2010, Acta Numerica 19, 209). Moments at the middle and the end are predicted by steps of order
-2. The order is 3; for equations that are linear, with what is added to them a parabola in time, a step is exact.
+and the squares of the disturbances at these times have the exact integrals Q of `propagator.py` in each part: modes
+that decay within a step have the variance at which they rest. The weights are Simpson's, and what is left of a step's
+error is the commutator of F and its slope (a Magnus method: Hochbruck and Ostermann 2010, Acta Numerica 19, 209). The
+last part ends with F1, so that states that follow others at once are spread as those at the end; weights that are not
+negative keep covariances positive. (With four exponentials of order 4, of which some weights have to be negative, what
+follows at once was behind by a sixth of a step: a stiff model needed ten times the steps.)
+
+In each part, what is left of the drift, E f - F (m - m at its start), is a parabola through its values at the three
+times (an exponential Rosenbrock method). Moments at the middle and the end are predicted by steps of order 2. The order
+is 3 for the mean, and 2 for the covariance; a step is exact for equations that are linear, with what is added to them a
+parabola in time.
 """
 
 from __future__ import annotations
@@ -25,13 +30,24 @@ from gbspec.training.engines.filter.propagator import Matrices, propagators
 from gbspec.training.engines.filter.sigma import Rates, Stage, Varied
 
 BEGIN, MIDDLE, END = Fraction(0), Fraction(1, 2), Fraction(1)
-HALVES = ((1 / 2, 2 / 3, -1 / 6), (-1 / 6, 2 / 3, 1 / 2))
-"""The weights of start, middle and end in each half."""
-Moments = tuple[Varied, Varied]
+PARTS = ((0.0, 1 / 6), (1 / 6, 2 / 3), (5 / 6, 1 / 6))
+"""Where the parts of a step begin and how long they are, as shares of it."""
+Moved = tuple[Varied, Varied, Varied]
+"""Mean, transition and added covariance."""
 
 
-def frozen_step(stage: Stage, mean: Varied, cov: Varied, h: Array) -> tuple[Varied, Varied, Varied]:
+def frozen_step(stage: Stage, mean: Varied, cov: Varied, h: Array) -> Moved:
     """Mean, transition and added covariance of steps of the lengths `h` [b]."""
+    rates, means = _stages(stage, mean, cov, h)
+    m, a, q = _part(0, rates, means, mean, h)
+    for number in (1, 2):
+        m, later, added = _part(number, rates, means, m, h)
+        a, q = later @ a, _added(later, q, added)
+    return m, a, q
+
+
+def _stages(stage: Stage, mean: Varied, cov: Varied, h: Array) -> tuple[list[Rates], list[Varied]]:
+    """Expectations at the start, the middle and the end of steps, and the means there."""
     half = 0.5 * h
     rate = 1 / np.where(half > 0, half, 1.0)
     begin = stage(BEGIN, mean, cov)
@@ -43,37 +59,19 @@ def frozen_step(stage: Stage, mean: Varied, cov: Varied, h: Array) -> tuple[Vari
     middle = stage(MIDDLE, m_middle, _added(a, cov, q))
     slope = (_left(middle, middle.matrix, m_middle - mean) - begin.drift).times(rate)
     m_end, a, q = _moved(middle.matrix, middle.square, [begin.drift, slope], mean, h)
-    end = stage(END, m_end, _added(a, cov, q))
-    three, means = (begin, middle, end), (mean, m_middle, m_end)
-    m, a, q = _half(0, three, means, mean, rate, half)
-    m, a_later, q_later = _half(1, three, means, m, rate, half)
-    return m, a_later @ a, _added(a_later, q, q_later)
+    return [begin, middle, stage(END, m_end, _added(a, cov, q))], [mean, m_middle, m_end]
 
 
-def _half(
-    number: int, stages: Sequence[Rates], means: Sequence[Varied], start: Varied, rate: Array, length: Array
-) -> tuple[Varied, Varied, Varied]:
-    """The first (0) or the second (1) half of a step, from the mean `start`; `rate` is one over its length."""
-    f = _combined([each.matrix for each in stages], number)
-    square = _positive(_combined([each.square for each in stages], number))
-    low, middle, high = (_left(each, f, m - start) for each, m in zip(stages, means, strict=True))
-    bend = (low + high - middle.times(2.0)).times(0.5 * rate**2)
-    if number == 0:
-        first, slope = low, middle.times(4.0) - low.times(3.0) - high
-    else:
-        first, slope = middle, high - low
-    return _moved(f, square, [first, slope.times(0.5 * rate), bend], start, length)
-
-
-def _combined(parts: Sequence[Varied], number: int) -> Varied:
-    first, second, third = (part.times(weight) for part, weight in zip(parts, HALVES[number], strict=True))
-    return first + second + third
-
-
-def _positive(square: Varied) -> Varied:
-    """Squares that would be negative, since they vary much within a step, are zero."""
-    keep = square.value > 0
-    return Varied(np.where(keep, square.value, 0.0), None if square.slopes is None else square.slopes * keep[:, None])
+def _part(number: int, rates: Sequence[Rates], means: Sequence[Varied], start: Varied, h: Array) -> Moved:
+    """A part of a step, from the mean `start`, with the matrix of its own time."""
+    (begin, length), here = PARTS[number], rates[number]
+    low, middle, high = (_left(each, here.matrix, m - start) for each, m in zip(rates, means, strict=True))
+    # The parabola through the three, in shares of the step, and then in time from the start of the part.
+    slope, bend = middle.times(4.0) - low.times(3.0) - high, (low + high - middle.times(2.0)).times(2.0)
+    rate = 1 / np.where(h > 0, h, 1.0)
+    first = low + slope.times(begin) + bend.times(begin**2)
+    forcing = [first, (slope + bend.times(2 * begin)).times(rate), bend.times(rate**2)]
+    return _moved(here.matrix, here.square, forcing, start, length * h)
 
 
 def _left(rates: Rates, f: Varied, moved: Varied) -> Varied:
@@ -82,14 +80,13 @@ def _left(rates: Rates, f: Varied, moved: Varied) -> Varied:
 
 
 def _added(a: Varied, cov: Varied, q: Varied) -> Varied:
+    """The covariance after a transition."""
     return a @ cov @ a.transposed + q
 
 
-def _moved(
-    f: Varied, square: Varied, forcing: Sequence[Varied], start: Varied, h: Array
-) -> tuple[Varied, Varied, Varied]:
-    """Mean, transition and added covariance with these matrices; `forcing` are the coefficients of a polynomial in the
-    time, for the movement from the start."""
+def _moved(f: Varied, square: Varied, forcing: Sequence[Varied], start: Varied, h: Array) -> Moved:
+    """What these matrices lead to; `forcing` are the coefficients of a polynomial in the time, for the movement from
+    the start."""
     a, q, *integrals = _propagated(f, square, h, len(forcing))
     for integral, coefficient in zip(integrals, forcing, strict=True):
         start = start + integral @ coefficient
