@@ -15,8 +15,8 @@ from gbspec.training.engines.filter.sigma import LEAST
 from gbspec.training.problem import Control, Integers
 
 LOOSE = 100.0
-"""Covariances count by their own sizes, and with this many times the tolerance: what an error of a variance by one in a
-thousand changes in the likelihood of a value is beyond what the value says."""
+"""Errors of means and of covariances count by the spread of the state with this many times the tolerance: what a
+thousandth of a spread changes in the likelihood of a value is little beside what the value says."""
 ORDER = 2
 """The order of covariances in the length of a step."""
 SAFETY, PIECES, MOST = 1.1, 5, 4096
@@ -26,8 +26,8 @@ steps in a sub-step: one that needs more has no solution."""
 
 @dataclass(frozen=True)
 class Tolerance:
-    """The tolerance of the error of a step: relative to the sizes of coordinates, which are those of a typical state
-    [n] at least; of logarithms (`log` [n]) absolute."""
+    """The tolerance of the error of a step: relative to the sizes of coordinates, with a share of the typical ones
+    `scale` [n]; of logarithms (`log` [n]) absolute; and relative to their spreads."""
 
     control: Control
     scale: Array
@@ -37,10 +37,10 @@ class Tolerance:
         """The errors [b] of steps, in units of the tolerance, from the means [b, n] before them and after one step and
         two halves of it, and the covariances [b, n, n] after these; infinite where they are not numbers."""
         before, one, two = means
-        size = np.where(self.log, 1.0, np.maximum(np.abs(before), np.abs(two)) + self.control.floor)
-        of_mean = (np.abs(two - one) / size).max(axis=1)
         variance = np.diagonal(covs[1], axis1=1, axis2=2)
         sd = np.sqrt(np.maximum(variance, 0.0) + LEAST * self.scale**2)
+        size = np.where(self.log, 1.0, np.maximum(np.abs(before), np.abs(two)) + self.control.floor)
+        of_mean = (np.abs(two - one) / (size + LOOSE * sd)).max(axis=1)
         of_cov = (np.abs(covs[1] - covs[0]) / (sd[:, :, None] * sd[:, None])).max(axis=(1, 2))
         error = np.maximum(of_mean, of_cov / LOOSE) / self.control.rtol
         return np.where(np.isfinite(error), error, np.inf)

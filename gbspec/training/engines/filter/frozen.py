@@ -21,6 +21,7 @@ parabola in time.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -30,67 +31,96 @@ from gbspec.training.engines.filter.propagator import Matrices, propagators
 from gbspec.training.engines.filter.sigma import Rates, Stage, Varied
 
 BEGIN, MIDDLE, END = Fraction(0), Fraction(1, 2), Fraction(1)
-PARTS = ((0.0, 1 / 6), (1 / 6, 2 / 3), (5 / 6, 1 / 6))
-"""Where the parts of a step begin and how long they are, as shares of it."""
+HALF, WHOLE = (0.0, 1 / 4), (0.0, 1 / 6, 5 / 6)
+"""Where the parts of half a step, and of a step, begin, as shares of the step."""
 Moved = tuple[Varied, Varied, Varied]
 """Mean, transition and added covariance."""
 
 
 def frozen_step(stage: Stage, mean: Varied, cov: Varied, h: Array) -> Moved:
     """Mean, transition and added covariance of steps of the lengths `h` [b]."""
-    rates, means = _stages(stage, mean, cov, h)
-    m, a, q = _part(0, rates, means, mean, h)
-    for number in (1, 2):
-        m, later, added = _part(number, rates, means, m, h)
-        a, q = later @ a, _added(later, q, added)
-    return m, a, q
-
-
-def _stages(stage: Stage, mean: Varied, cov: Varied, h: Array) -> tuple[list[Rates], list[Varied]]:
-    """Expectations at the start, the middle and the end of steps, and the means there."""
-    half = 0.5 * h
-    rate = 1 / np.where(half > 0, half, 1.0)
     begin = stage(BEGIN, mean, cov)
-    m, a, q = _moved(begin.matrix, begin.square, [begin.drift], mean, half)
-    guess = stage(MIDDLE, m, _added(a, cov, q))
-    f, square = (begin.matrix + guess.matrix).times(0.5), (begin.square + guess.square).times(0.5)
-    slope = (_left(guess, f, m - mean) - begin.drift).times(rate)
-    m_middle, a, q = _moved(f, square, [begin.drift, slope], mean, half)
-    middle = stage(MIDDLE, m_middle, _added(a, cov, q))
-    slope = (_left(middle, middle.matrix, m_middle - mean) - begin.drift).times(rate)
-    m_end, a, q = _moved(middle.matrix, middle.square, [begin.drift, slope], mean, h)
-    return [begin, middle, stage(END, m_end, _added(a, cov, q))], [mean, m_middle, m_end]
+    known = [_Known(begin, mean)]
+
+    def reached(until: Fraction, found: Moved) -> _Known:
+        return _Known(stage(until, found[0], _added(found[1], cov, found[2])), found[0])
+
+    # Each time is looked at twice: with matrices of earlier times, states that follow others would be behind.
+    first = [_Part.of(begin, 1 / 4, h)] * 2
+    known.append(reached(MIDDLE, _through(first, HALF, known, mean, h)))
+    first[1] = _Part.of(known[1].rates, 1 / 4, h)
+    known[1] = reached(MIDDLE, _through(first, HALF, known, mean, h))
+    middle = known[1].rates
+    parts = [_Part.of(begin, 1 / 6, h), _Part.of(middle, 2 / 3, h), _Part.of(middle, 1 / 6, h)]
+    known.append(reached(END, _through(parts, WHOLE, known, mean, h)))
+    parts[2] = _Part.of(known[2].rates, 1 / 6, h)
+    known[2] = reached(END, _through(parts, WHOLE, known, mean, h))
+    parts[2] = _Part.of(known[2].rates, 1 / 6, h)
+    return _through(parts, WHOLE, known, mean, h)
 
 
-def _part(number: int, rates: Sequence[Rates], means: Sequence[Varied], start: Varied, h: Array) -> Moved:
-    """A part of a step, from the mean `start`, with the matrix of its own time."""
-    (begin, length), here = PARTS[number], rates[number]
-    low, middle, high = (_left(each, here.matrix, m - start) for each, m in zip(rates, means, strict=True))
-    # The parabola through the three, in shares of the step, and then in time from the start of the part.
-    slope, bend = middle.times(4.0) - low.times(3.0) - high, (low + high - middle.times(2.0)).times(2.0)
+@dataclass(frozen=True)
+class _Known:
+    """Expectations at a time of a step, and the mean there."""
+
+    rates: Rates
+    mean: Varied
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of a step with one matrix F: its transition, the covariance it adds, and the integrals of forcing."""
+
+    f: Varied
+    a: Varied
+    q: Varied
+    integrals: list[Varied]
+
+    @classmethod
+    def of(cls, rates: Rates, share: float, h: Array) -> _Part:
+        """The part of this share of the step."""
+        a, q, *integrals = _propagated(rates.matrix, rates.square, share * h, 3)
+        return cls(rates.matrix, a, q, integrals)
+
+
+def _through(
+    parts: Sequence[_Part], begins: Sequence[float], known: Sequence[_Known], start: Varied, h: Array
+) -> Moved:
+    """What parts lead to, one after the other. What is left of the drift besides the linear function is a parabola
+    through what is known of it at the start, the middle and the end; a straight line or constant where less is."""
+    m, way, total = start, None, None
     rate = 1 / np.where(h > 0, h, 1.0)
+    for part, begin in zip(parts, begins, strict=True):
+        values = [each.rates.drift - part.f @ (each.mean - m) for each in known]
+        for integral, coefficient in zip(part.integrals, _parabola(values, begin, rate), strict=False):
+            m = m + integral @ coefficient
+        if way is None or total is None:
+            way, total = part.a, part.q
+        else:
+            way, total = part.a @ way, _added(part.a, total, part.q)
+    assert way is not None
+    assert total is not None
+    return m, way, total
+
+
+def _parabola(values: Sequence[Varied], begin: float, rate: Array) -> list[Varied]:
+    """The coefficients, in the time from the share `begin` of a step on, of the polynomial with these values at the
+    start, the middle and the end of a step; `rate` is one over its length."""
+    low, *later = values
+    if not later:
+        return [low]
+    if len(later) == 1:
+        slope = (later[0] - low).times(2.0)
+        return [low + slope.times(begin), slope.times(rate)]
+    middle, high = later
+    slope, bend = middle.times(4.0) - low.times(3.0) - high, (low + high - middle.times(2.0)).times(2.0)
     first = low + slope.times(begin) + bend.times(begin**2)
-    forcing = [first, (slope + bend.times(2 * begin)).times(rate), bend.times(rate**2)]
-    return _moved(here.matrix, here.square, forcing, start, length * h)
-
-
-def _left(rates: Rates, f: Varied, moved: Varied) -> Varied:
-    """What is left of the drift besides the linear function of the movement."""
-    return rates.drift - f @ moved
+    return [first, (slope + bend.times(2 * begin)).times(rate), bend.times(rate**2)]
 
 
 def _added(a: Varied, cov: Varied, q: Varied) -> Varied:
     """The covariance after a transition."""
     return a @ cov @ a.transposed + q
-
-
-def _moved(f: Varied, square: Varied, forcing: Sequence[Varied], start: Varied, h: Array) -> Moved:
-    """What these matrices lead to; `forcing` are the coefficients of a polynomial in the time, for the movement from
-    the start."""
-    a, q, *integrals = _propagated(f, square, h, len(forcing))
-    for integral, coefficient in zip(integrals, forcing, strict=True):
-        start = start + integral @ coefficient
-    return start, a, q
 
 
 def _propagated(f: Varied, square: Varied, h: Array, orders: int) -> list[Varied]:

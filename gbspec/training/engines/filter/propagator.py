@@ -46,6 +46,10 @@ class Matrices:
     def __add__(self, other: Matrices) -> Matrices:
         return Matrices(self.value + other.value, self.slopes + other.slopes)
 
+    def plus(self, constant: Array) -> Matrices:
+        """With a matrix [n, n] added that does not vary."""
+        return Matrices(self.value + constant, self.slopes)
+
     def times(self, factor: Array | float) -> Matrices:
         """Multiplied by a number, or by one for each matrix [G]."""
         if isinstance(factor, np.ndarray):
@@ -60,31 +64,37 @@ class Matrices:
 
 def propagators(f: Matrices, d: Matrices, h: Array, orders: int) -> list[Matrices]:
     """e^{Fh}, Q, and the first `orders` (at most 3) of J0, J1 and J2, for G lengths `h`."""
-    zero = Matrices(np.zeros_like(f.value), np.zeros_like(f.slopes))
     doublings = _needed(f.value, h)
     s = h / 2.0**doublings
-    unit = Matrices(zero.value + np.eye(f.value.shape[-1]), zero.slopes)
-    e, q, j, power, lie = zero, zero, [zero] * orders, unit, d
-    for i in range(TERMS):
-        q = q + lie.times(s ** (i + 1) / math.factorial(i + 1))
-        for order in range(orders):
-            scale = math.factorial(order) / math.factorial(i + order + 1)
-            j[order] = j[order] + power.times(scale * s ** (i + order + 1))
-        power = f @ power
-        e = e + power.times(s ** (i + 1) / math.factorial(i + 1))
-        half = f @ lie  # which is symmetrical
-        lie = half + half.transposed
+    e, q, j = _series(f.times(s), d.times(s), s)
+    unit = np.eye(f.value.shape[-1])
     for _ in range(doublings):
-        a = unit + e
+        a = e.plus(unit)
         q = q + a @ q @ a.transposed
         if orders > 2:
             j[2] = j[2] + a @ j[2] + j[1].times(2 * s) + j[0].times(s**2)
         if orders > 1:
             j[1] = j[1] + a @ j[1] + j[0].times(s)
-        j[0] = j[0].times(2.0) + e @ j[0]
+        if orders > 0:
+            j[0] = j[0].times(2.0) + e @ j[0]
         e = e.times(2.0) + e @ e
         s = 2 * s
-    return [unit + e, q, *j]
+    return [e.plus(unit), q, *j[:orders]]
+
+
+def _series(x: Matrices, d: Matrices, s: Array) -> tuple[Matrices, Matrices, list[Matrices]]:
+    """e^{X} - 1, Q, and J0, J1 and J2, from X = F s and D s: with phi_k = sum of X^i / (i + k)!, which is
+    1/k! + X phi_(k + 1), they are X phi_1, and phi_1 s, phi_2 s^2 and 2 phi_3 s^3."""
+    unit = np.eye(x.value.shape[-1])
+    phi, q = Matrices(np.broadcast_to(unit, x.value.shape), np.zeros_like(x.slopes)), d
+    for k in range(TERMS, 0, -1):
+        phi = (x @ phi).times(1 / (k + 3)).plus(unit)
+        half = x @ q  # q is symmetrical
+        q = (half + half.transposed).times(1 / (k + 1)) + d
+    third = phi.times(1 / 6)
+    second = (x @ third).plus(unit / 2)
+    first = (x @ second).plus(unit)
+    return x @ first, q, [first.times(s), second.times(s**2), third.times(2 * s**3)]
 
 
 def _needed(f: Array, h: Array) -> int:
