@@ -19,7 +19,7 @@ LOOSE = 100.0
 thousandth of a spread changes in the likelihood of a value is little beside what the value says."""
 ORDER = 2
 """The order of covariances in the length of a step."""
-SAFETY, PIECES, MOST = 1.1, 5, 4096
+SAFETY, PIECES, MOST = 1.1, 5, 256
 """The factor on the number of pieces that the error estimate asks for, their largest number in one round, and the most
 steps in a sub-step: one that needs more has no solution."""
 
