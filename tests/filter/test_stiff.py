@@ -20,7 +20,9 @@ from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.engines.filter import recursion, search
 from gbspec.training.engines.filter.division import MOST, joined, refined, trimmed
 from gbspec.training.engines.filter.functions import Functions
+from gbspec.training.engines.filter.layout import At
 from gbspec.training.engines.filter.propagator import Matrices, propagators
+from gbspec.training.engines.filter.recursion import Moment, predicted
 from tests.filter.conftest import BENT, LINEAR, WITH_NETWORK, engine_of, table
 
 FOLLOWING = """model following
@@ -139,11 +141,16 @@ def test_a_fast_state_has_the_variance_at_which_it_rests(tmp_path: Path) -> None
 
 
 def test_covariances_are_positive_whatever_the_step(tmp_path: Path) -> None:
-    engine, vector = stiff(tmp_path, FOLLOWING.format(rate="1e5"), waves(2.0))
-    for each in (vector, vector + 1.0, vector - 1.0):
-        found = engine.filtered(each)
-        assert found.finite
-        values = np.linalg.eigvalsh(found.end_cov)
+    engine, vector = stiff(tmp_path, FOLLOWING.format(rate="1e4"), waves(2.0, 40))
+    rng, index = np.random.default_rng(2), np.flatnonzero(engine.legs.count > 0)
+    half = 0.3 * rng.standard_normal((len(index), 3, 3))
+    before = Moment(rng.uniform(-2, 2, (len(index), 3)), half @ half.swapaxes(1, 2))
+    flow = engine.flows(At.of(engine.layout, engine.layout.split(vector)[0]), index, before)
+    end = predicted(before, flow).p
+    sound = np.isfinite(end).all(axis=(1, 2))
+    assert sound.sum() > 20
+    for covariance in (flow.q[sound], end[sound]):
+        values = np.linalg.eigvalsh(covariance)
         assert (values >= -1e-12 * values.max(axis=1, keepdims=True)).all()
 
 
