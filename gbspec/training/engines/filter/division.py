@@ -19,7 +19,10 @@ LOOSE = 100.0
 thousandth of a spread changes in the likelihood of a value is little beside what the value says."""
 ORDER = 2
 """The order of covariances in the length of a step."""
-SAFETY, PIECES, MOST = 1.1, 5, 256
+NEAR, SHARE = 0.1, 1e-3
+"""Moments are near each other where they differ by so much of the spread; it counts as at least so much of the typical
+size."""
+SAFETY, PIECES, MOST = 1.1, 8, 256
 """The factor on the number of pieces that the error estimate asks for, their largest number in one round, and the most
 steps in a sub-step: one that needs more has no solution."""
 
@@ -44,6 +47,31 @@ class Tolerance:
         of_cov = (np.abs(covs[1] - covs[0]) / (sd[:, :, None] * sd[:, None])).max(axis=(1, 2))
         error = np.maximum(of_mean, of_cov / LOOSE) / self.control.rtol
         return np.where(np.isfinite(error), error, np.inf)
+
+
+@dataclass(frozen=True)
+class Looked:
+    """The moments at the starts of legs, means [B, n] and covariances [B, n, n], at which their steps had errors within
+    the tolerance; infinite where they had not."""
+
+    mean: Array
+    cov: Array
+
+    @classmethod
+    def at_none(cls, legs: int, n: int) -> Looked:
+        """Nothing has been looked at."""
+        return cls(np.full((legs, n), np.inf), np.full((legs, n, n), np.inf))
+
+    def due(self, mean: Array, cov: Array, least: Array) -> Mask:
+        """Which legs [B] are to be looked at, since these moments are not near those; spreads count as `least` [n]."""
+        sd = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) + least
+        moved = np.abs(mean - self.mean) > NEAR * sd
+        spread = np.abs(cov - self.cov) > NEAR * sd[:, :, None] * sd[:, None]
+        return np.asarray(moved.any(axis=1) | spread.any(axis=(1, 2)), dtype=np.bool_)
+
+    def put(self, legs: Integers, mean: Array, cov: Array) -> None:
+        """The steps of some legs are good enough."""
+        self.mean[legs], self.cov[legs] = mean, cov
 
 
 def refined(shares: Array, errors: Array) -> Array:

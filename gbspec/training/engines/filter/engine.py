@@ -20,7 +20,7 @@ from gbspec.ir import METHODS, linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.compiled import Advance, advance
 from gbspec.training.engines.filter.coordinates import LEAST, Coordinates, relative_states
-from gbspec.training.engines.filter.division import Tolerance, refined, trimmed
+from gbspec.training.engines.filter.division import SHARE, Looked, Tolerance, refined, trimmed
 from gbspec.training.engines.filter.exact import Exact
 from gbspec.training.engines.filter.flows import Points, Stepped
 from gbspec.training.engines.filter.forward import Forward, covers
@@ -203,24 +203,31 @@ class FilterEngine:
         search.run(once=self.affine)
         if self.tolerance is not None and not held:
             at = At.of(self.layout, self.layout.split(vector)[0])
-            while len(changed := self._divided(at, search.found)):
+            looked = Looked.at_none(len(self.legs.owner), len(self.scale))
+            while len(changed := self._divided(at, search.found, looked)):
                 search.again(changed)
         return search.found
 
-    def _divided(self, at: At, found: Filtered) -> Integers:
-        """Divides the steps in `found` whose errors are beyond the tolerance, and returns their legs. Nothing after a
-        leg without a finite end is looked at. Where a leg would need too many steps there is no solution."""
+    def _divided(self, at: At, found: Filtered, looked: Looked) -> Integers:
+        """Divides the steps in `found` whose errors are beyond the tolerance, and returns their legs. Legs that have
+        been `looked` at are left out, and those after one without a finite end. Where a leg would need too many steps
+        there is no solution."""
         legs, tolerance = self.legs, self.tolerance
         assert tolerance is not None
         first = np.full(len(self.start_variance), legs.places)
         np.minimum.at(first, legs.owner[found.bad], legs.place[found.bad])
-        index = np.flatnonzero((legs.count > 0) & (legs.place <= first[legs.owner])).astype(np.int64)
+        due = looked.due(found.start_mean, found.start_cov, SHARE * self.scale) | found.bad
+        index = np.flatnonzero(due & (legs.count > 0) & (legs.place <= first[legs.owner])).astype(np.int64)
+        if not len(index):
+            return index
         owner, here, data = self._steps(index, found.moments(index))
         old = trimmed(found.shares[index])
         errors = self.points.errors(Stepped(at, owner, data, old, False), here, tolerance)
         new = refined(old, errors)
+        good = ~(errors > 1).any(axis=1)
+        looked.put(index[good], here.m[good], here.p[good])
         more = (new > 0).sum(axis=1) > (old > 0).sum(axis=1)
-        lost = (errors > 1).any(axis=1) & ~more
+        lost = ~good & ~more
         if lost.any():
             found.lost(index[lost])
             return index[:0]

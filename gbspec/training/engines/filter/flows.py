@@ -121,10 +121,11 @@ class Points:
         """The errors [b, K] of the steps in sub-steps, in units of the tolerance: what two halves of a step change."""
         reached, out = self._dosed(legs, before).own, np.zeros(legs.shares.shape)
         for place, (who, begin, length) in enumerate(_steps(legs.shares)):
-            here, mine = reached.of(who), legs.of(who)
-            whole = self._step(mine, here, begin, length)
-            middle = self._step(mine, here, begin, HALF * length)
-            end = self._step(mine, middle, begin + HALF * length, HALF * length)
+            here, twice, count = reached.of(who), np.concatenate([who, who]), len(who)
+            lengths = np.concatenate([length, HALF * length])
+            both = self._step(legs.of(twice), reached.of(twice), np.concatenate([begin, begin]), lengths)
+            whole, middle = both.of(np.arange(count)), both.of(np.arange(count, 2 * count))
+            end = self._step(legs.of(who), middle, begin + HALF * length, HALF * length)
             out[who, place] = tolerance.error(
                 (here.mean.value[:, :, 0], whole.mean.value[:, :, 0], end.mean.value[:, :, 0]),
                 (whole.cov.value, end.cov.value),
