@@ -214,7 +214,7 @@ def test_errors_follow_the_tolerance(tmp_path: Path, solver: str) -> None:
 
 def test_a_step_is_divided_only_where_its_error_is_beyond_the_tolerance() -> None:
     shares = np.array([[0.5, 0.5], [1.0, 0.0], [0.25, 0.75]])
-    found = refined(shares, np.array([[0.3, 5.0], [0.9, 0.0], [np.inf, 0.1]]))
+    found = refined(shares, np.array([[0.3, 2.0], [0.9, 0.0], [np.inf, 0.1]]))
     assert found[0].tolist() == pytest.approx([0.5, 0.25, 0.25, *[0] * 6])
     assert found[1].tolist() == [1, *[0] * 8]
     assert found[2].tolist() == pytest.approx([0.25 / 8] * 8 + [0.75])

@@ -22,7 +22,7 @@ ORDER = 2
 NEAR, SHARE = 0.1, 1e-3
 """Moments are near each other where they differ by so much of the spread; it counts as at least so much of the typical
 size."""
-SAFETY, PIECES, MOST = 1.1, 8, 256
+SAFETY, PIECES, MOST = 1.25, 8, 256
 """The factor on the number of pieces that the error estimate asks for, their largest number in one round, and the most
 steps in a sub-step: one that needs more has no solution."""
 
