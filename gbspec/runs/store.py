@@ -144,6 +144,11 @@ class Run:
         value = self.member(number).info.get("max_step")
         return float(value) if isinstance(value, int | float) else None
 
+    def tolerance(self, number: int) -> float | None:
+        """The tolerance of the solver's steps in the last fit of a member; None if they were fixed."""
+        value = self.member(number).info.get("tolerance")
+        return float(value) if isinstance(value, int | float) else None
+
     def equal_step(self, number: int) -> float | None:
         """The same if steps were equal ones; None if they end where right-hand sides switch."""
         return None if self.member(number).info.get("switches") else self.step(number)

@@ -68,14 +68,22 @@ def table(channels: str, rows: int = 14, trajectories: int = 2, seed: int = 0) -
     return "\n".join(lines) + "\n"
 
 
-def engine_of(folder: Path, text: str, data: str, max_step: float | None = None) -> tuple[FilterEngine, Array]:
+def engine_of(
+    folder: Path,
+    text: str,
+    data: str,
+    max_step: float | None = None,
+    solver: str = "rk4",
+    tolerance: float | None = None,
+) -> tuple[FilterEngine, Array]:
     """The filter of a model and a table, and a vector of its likelihood."""
     (folder / "m.gb").write_text(text, encoding="utf-8")
     (folder / "d.csv").write_text(data, encoding="utf-8")
     model = load_model(folder / "m.gb", Findings())
     trajectories = read(folder / "d.csv", model, Findings())
-    module = load_module(model, METHODS["rk4"])
-    context = build_context(model, module, trajectories, TrainOptions(backend="torch", max_step=max_step), 0)
+    module = load_module(model, METHODS[solver])
+    options = TrainOptions(backend="torch", max_step=max_step, solver=solver, tolerance=tolerance)
+    context = build_context(model, module, trajectories, options, 0)
     scales = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
     parameters = context.parameters(scales)
     engine = FilterEngine.of(context.problem(0.0), parameters)

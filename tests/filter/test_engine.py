@@ -169,7 +169,7 @@ def test_the_iterated_smoother_rests_where_its_linearisation_is(tmp_path: Path) 
     seen[3:8] = False
     found = engine.filtered(vector, seen)
     mean, cov, start, start_cov = iterated(engine, vector, found)
-    again = smoothed(engine.linearised(vector, (start, start_cov, mean, cov), seen), engine.legs)[0]
+    again = smoothed(engine.linearised(vector, (start, start_cov, mean, cov, found.shares), seen), engine.legs)[0]
     assert np.abs(again - mean).max() < 1e-3 * engine.scale.max()
     assert np.abs(mean - smoothed(found, engine.legs)[0]).max() > 1e-3
 

@@ -152,14 +152,19 @@ def test_profiles_are_refused(fitted: tuple[Run, Trajectories]) -> None:
     assert [d.code for d in caught.value.diagnostics] == ["GB772"]
 
 
-@pytest.mark.parametrize(
-    "options", [TrainOptions(method="adam"), TrainOptions(solver="ros34pw2"), TrainOptions(tolerance=1e-6)]
-)
-def test_other_methods_stiff_solvers_and_tolerances_are_refused(tmp_path: Path, options: TrainOptions) -> None:
+@pytest.mark.parametrize("options", [TrainOptions(method="adam"), TrainOptions(forcing="autoregressive")])
+def test_other_methods_and_forcings_are_refused(tmp_path: Path, options: TrainOptions) -> None:
     model = model_in(tmp_path, PROCESS)
     with pytest.raises(UserError) as caught:
         train(model, data_in(tmp_path, model), options, tmp_path / "run")
     assert {d.code for d in caught.value.diagnostics} == {"GB770"}
+
+
+def test_linear_models_are_solved_exactly_whatever_the_solver(fitted: tuple[Run, Trajectories], tmp_path: Path) -> None:
+    run, data = fitted
+    again = train(run.model, data, replace(FAST, solver="ros34pw2"), tmp_path / "run")
+    for name, constant in run.fit.constants.items():
+        assert again.fit.constants[name].value == pytest.approx(constant.value, rel=1e-3)
 
 
 def test_simulated_disturbances_have_their_distribution(tmp_path: Path) -> None:

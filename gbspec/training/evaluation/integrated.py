@@ -15,10 +15,10 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array, Mask
-from gbspec.backends import load_module
+from gbspec.backends import GeneratedModule, load_module
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.ir import Model
+from gbspec.ir import STIFF, Model, linear_in_states
 from gbspec.training.engines import FilterEngine
 from gbspec.training.evaluation.point import ACCURACY, Evaluated, Given, Value, change, ordered
 from gbspec.training.options import TrainOptions
@@ -27,15 +27,33 @@ from gbspec.training.problem import Bijections, Integers, Parameters
 from gbspec.training.recipe import Context, build_context, marginal_objective
 from gbspec.training.stages import StageName
 
-HALVINGS = 7
-"""So often the step is halved at most."""
+HALVINGS, TENTHS = 7, 2
+"""So often the step is halved at most; of disturbed models that are stiff the tolerance becomes a tenth."""
 LIMITS = {-1: "<", 1: ">", 0: ""}
 
 
 def evaluate_integral(model: Model, trajectories: Trajectories, given: Given) -> Evaluated:
     """The objective of a population or of a model with disturbances. Raises ComputationError without a solution."""
-    module = load_module(model)
-    context = build_context(model, module, trajectories, TrainOptions(device="cpu"), 0)
+    best = _settled(model, trajectories, given, load_module(model), HALVINGS)
+    coarse = best is None or best.accuracy > ACCURACY
+    if coarse and model.diffusions and linear_in_states(model) is None:
+        stiff = _settled(model, trajectories, given, load_module(model, STIFF), TENTHS)
+        best = min((one for one in (best, stiff) if one is not None), key=lambda one: one.accuracy, default=None)
+    if best is None:
+        raise ComputationError(
+            "the likelihood is not finite at these constants",
+            where=f"the model {model.name}",
+            remedy="other constants by `--set`, or `gbspec simulate`, which says where a solution ends",
+        )
+    return best
+
+
+def _settled(
+    model: Model, trajectories: Trajectories, given: Given, module: type[GeneratedModule], halvings: int
+) -> Evaluated | None:
+    """The objective with steps so short that it stays, or the best that there is; None without a solution."""
+    options = TrainOptions(device="cpu", solver=module.solver)
+    context = build_context(model, module, trajectories, options, 0)
     if model.networks:
         context.module = module(dict(given.weights))
     fixed = {k: v for k, v in given.weights.items() if k.endswith(("_center", "_scale"))}
@@ -43,8 +61,8 @@ def evaluate_integral(model: Model, trajectories: Trajectories, given: Given) ->
     judged = _filtered if model.diffusions else _marginal
     previous: Evaluated | None = None
     best: Evaluated | None = None
-    for halvings in range(HALVINGS + 1):
-        found = judged(context, parameters, given, halvings)
+    for number in range(halvings + 1):
+        found = judged(context, parameters, given, number)
         if found is None:
             previous = None
             continue
@@ -55,12 +73,6 @@ def evaluate_integral(model: Model, trajectories: Trajectories, given: Given) ->
         if found.accuracy <= ACCURACY:
             return found
         previous = found
-    if best is None:
-        raise ComputationError(
-            "the likelihood is not finite at these constants",
-            where=f"the model {model.name}",
-            remedy="other constants by `--set`, or `gbspec simulate`, which says where a solution ends",
-        )
     return best
 
 

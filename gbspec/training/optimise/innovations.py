@@ -45,8 +45,8 @@ PINNED, LAST = 100.0, 0.2
 one with functions is compared. The share of the iterations that is left for it."""
 STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
-MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov")
-"""The filter's moments in the state, from which the next search of them begins."""
+MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov", "shares")
+"""The filter's moments and steps in the state, from which the next search of them begins."""
 FLAT = 1e-8
 """Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
 
@@ -331,13 +331,15 @@ class InnovationsFit:
         step = min(int(legs.first[first]), max(packed.depth - 1, 0))
         time = float(packed.t[step, owner]) if packed.depth else float(packed.start[owner])
         x = engine.coordinates.states(found.start_mean[first])
+        fixed = engine.tolerance is None and engine.exact is None
+        steps = "a smaller `--max-step`, `--solver ros34pw2` (for stiff equations), " if fixed else ""
         values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(engine.problem.model.states, x, strict=True))
         return ComputationError(
             f"the filter's moments are not finite in stage `{self.name}`",
             where=f"trajectory `{packed.labels[owner]}` at {engine.problem.model.time.name} = {time:.6g}, "
             f"where {values}",
-            remedy="try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range "
-            "and a start for each state (`state x in [0, 1] = 0.5`)",
+            remedy=f"try {steps}bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range and a start for "
+            "each state (`state x in [0, 1] = 0.5`)",
         )
 
     # ---------------------------------------------------------------- what is known at the end
@@ -386,9 +388,9 @@ def _restored(state: State) -> Restricted:
 
 
 def _moments(state: State) -> Guess | None:
-    """The filter's moments at the vector of a state, if they are known."""
-    a, b, c, d = (state[name] for name in MOMENTS)
-    return (a, b, c, d) if len(a) else None
+    """The filter's moments and steps at the vector of a state, if they are known."""
+    a, b, c, d, e = (state[name] for name in MOMENTS)
+    return (a, b, c, d, e) if len(a) else None
 
 
 def _inverse(matrix: Array, free: Array) -> Array:

@@ -13,7 +13,7 @@ from gbspec.ir import METHODS, Model, RosenbrockW
 from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.optimise import InnovationsFit, Stage
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Parameters, Problem, pack, teacher_forcing
+from gbspec.training.problem import Parameters, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.recipe.planned import Planned, Reached
 from gbspec.training.recipe.stiffness import solver_of
@@ -25,13 +25,6 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
     """Raises UserError for options that a model with disturbances (GB770) or delays (GB768) cannot have."""
     found = []
     stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
-    if stiff and model.diffusions:
-        message = (
-            "adaptive steps and stiff solvers are not for a model with `diffusion`: its likelihood takes fixed "
-            "explicit steps, or solves linear models exactly"
-        )
-        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a step that is short enough for fast modes"
-        found.append(Diagnostic("GB770", message, None, help=help))
     if stiff and model.delays:
         message = "adaptive steps and stiff solvers are not offered yet for a model with delays: their steps are fixed"
         help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
@@ -107,8 +100,8 @@ def whole_vector(context: Context, engine: FilterEngine, theta: Array) -> Array:
 def held_out_filter(context: Context, parameters: Parameters, theta: Array) -> tuple[FilterEngine, Filtered]:
     """The filter of the held-out data, whose predictions count; of a single trajectory only the last rows."""
     held, model = context.held, context.model
-    packed = pack(held, model, context.max_step, method=context.method)
-    problem = Problem(model, context.module, packed, teacher_forcing(model, packed, 0.0), context.scaling(packed))
+    packed = context.pack(held)
+    problem = context.posed(packed, teacher_forcing(model, packed, 0.0))
     value, free = start_states(model, held, fit_curves(model, held), packed)
     local = replace(parameters, start_value=value, start_free=free)
     own = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)

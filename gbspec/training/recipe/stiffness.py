@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, load_module
 from gbspec.data import Trajectories, evenly_spaced
-from gbspec.ir import AUTO, DOPRI5, RK4, STIFF, Model
+from gbspec.ir import AUTO, DOPRI5, RK4, STIFF, Model, linear_in_states
 from gbspec.training.engines import rate_slopes, torch_arithmetic
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import Pooled, pooled_parameters
@@ -59,8 +59,8 @@ def chosen_solver(
 ) -> tuple[str, str | None]:
     """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
 
-    Likelihoods of innovations and models with delays are computed with the explicit one, so are models with algebraic
-    variables, where draws of constants are costly.
+    Models with delays are computed with the explicit one, so are models with algebraic variables, where draws of
+    constants are costly; disturbed models that are linear are solved exactly.
     """
     if not _may_be_stiff(model):
         return solver_of(options), None
@@ -79,7 +79,8 @@ def chosen_solver(
     rates = decays(context, parameters, theta)
     fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
     if not step * fast > LIMIT:
-        reason = _by_draws(model, module, some, options, theta) if model.complete else None
+        drawn = model.complete and not model.diffusions  # no solution from a start follows a disturbed one
+        reason = _by_draws(model, module, some, options, theta) if drawn else None
         return (solver_of(options), None) if reason is None else (STIFF.name, reason)
     reason = (
         f"the equations are stiff: at the data they have rates of {fast:.3g}, which times the step of {step:.3g} is "
@@ -135,7 +136,7 @@ def growth(context: Context, parameters: Parameters, theta: Array) -> tuple[floa
     """The rate of growth of errors at the measured states (its mean over the trajectory in which they grow most), and
     this times the duration: the logarithm of the factor by which they grow."""
     model = context.model
-    if not _may_be_stiff(model) or model.marginal or model.events:  # an event may undo what has grown
+    if not _may_be_stiff(model) or model.marginal or model.diffusions or model.events:  # which may undo what has grown
         return 0.0, 0.0
     problem, states = _at_data(context, parameters, theta)
     packed, worst = problem.packed, (0.0, 0.0)
@@ -231,5 +232,6 @@ def stiff_as_learned(
 
 
 def _may_be_stiff(model: Model) -> bool:
-    """Whether the stiff solver is offered for a model."""
-    return not (model.diffusions or model.algebraics or model.delays)
+    """Whether the stiff solver is offered for a model, and needed where its equations are stiff."""
+    exactly = model.diffusions and linear_in_states(model) is not None
+    return not (exactly or model.algebraics or model.delays)

@@ -22,7 +22,7 @@ from gbspec.runs import (
 )
 from gbspec.training.engines import Filtered, FilterEngine, whiteness
 from gbspec.training.problem import Parameters, autocorrelation_of, in_time
-from gbspec.training.recipe import Context, filter_of, held_out_filter, whole_vector
+from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
 from gbspec.training.runs import summary
 from gbspec.training.runs.constants import QUANTILE
@@ -81,6 +81,7 @@ def summarise(
         scales=None,
         objective=ObjectiveRecord(OBJECTIVE, likelihood.minus2ll),
         likelihood=likelihood,
+        left=stiff_as_learned(context, problem, parameters, theta, 1.0, engine.row_states(found)[0]),
     )
 
 

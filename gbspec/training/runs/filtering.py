@@ -125,7 +125,8 @@ def filter_run(
     none that are `hidden` (for each trajectory a mask of its rows)."""
     instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
     step = run.step(member)
-    options = TrainOptions(backend="torch", device="cpu", max_step=step, solver=run.fit.solver)
+    tolerance = run.tolerance(member)
+    options = TrainOptions(backend="torch", device="cpu", max_step=step, solver=run.fit.solver, tolerance=tolerance)
     context = build_context(run.model, run.module, trajectories, options, 0)
     context.module = instance
     fixed = {k: v for k, v in instance.weights.items() if k.endswith(("_center", "_scale"))}

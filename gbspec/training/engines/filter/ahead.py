@@ -30,7 +30,7 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
             return out
         leg, passed = leg[going], passed[going]
         moment = Moment(moment.m[going], moment.p[going])
-        moment = predicted(moment, engine.flows(at, leg, moment))
+        moment = predicted(moment, engine.flows(at, leg, moment, shares=found.shares[leg]))
         rows = legs.row[leg]
         passed = passed + (rows >= 0)
         there = np.flatnonzero((passed == steps) & (rows >= 0))

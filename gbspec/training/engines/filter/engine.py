@@ -11,22 +11,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import METHODS, Explicit, linear_in_states
+from gbspec.ir import METHODS, linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.compiled import Advance, advance
 from gbspec.training.engines.filter.coordinates import LEAST, Coordinates, relative_states
+from gbspec.training.engines.filter.division import SHARE, Looked, Tolerance, refined, trimmed
 from gbspec.training.engines.filter.exact import Exact
-from gbspec.training.engines.filter.flows import Points
+from gbspec.training.engines.filter.flows import Points, Stepped
 from gbspec.training.engines.filter.forward import Forward, covers
 from gbspec.training.engines.filter.functions import Functions
 from gbspec.training.engines.filter.layout import At, Layout
 from gbspec.training.engines.filter.legs import Legs, legs_of, steps_of
-from gbspec.training.engines.filter.local import Local
+from gbspec.training.engines.filter.local import Arrays, Local
 from gbspec.training.engines.filter.noise import Noise, noise_of
 from gbspec.training.engines.filter.recursion import Flow, Innovations, Moment, Reading, put, standing
 from gbspec.training.engines.filter.result import Filtered, Guess, Information, Sums
@@ -102,9 +103,14 @@ class FilterEngine:
     @cached_property
     def points(self) -> Points:
         """The moments of a model that is not linear."""
-        method = METHODS[self.problem.module.solver]
-        assert isinstance(method, Explicit)
-        return Points(self.functions, self.scale, method)
+        return Points(self.functions, self.scale, METHODS[self.problem.module.solver])
+
+    @cached_property
+    def tolerance(self) -> Tolerance | None:
+        """The tolerance that steps follow; None where they are fixed, or exact."""
+        if self.exact is not None or self.problem.control is None:
+            return None
+        return Tolerance(self.problem.control, self.scale, self.coordinates.log)
 
     @cached_property
     def advance(self) -> Advance:
@@ -131,21 +137,29 @@ class FilterEngine:
         return Paths(self.problem).at(self.parameters, np.zeros(self.parameters.size))
 
     # ---------------------------------------------------------------- flows and readings
-    def flows(self, at: At, index: Integers, before: Moment, derivatives: bool = False) -> Flow:
-        """The flows of the legs `index` [b], at the means [b, n] and covariances at their starts."""
+    def flows(
+        self, at: At, index: Integers, before: Moment, derivatives: bool = False, shares: Array | None = None
+    ) -> Flow:
+        """The flows of the legs `index` [b], at the means [b, n] and covariances at their starts; `shares` [b, K] are
+        the steps in each, without which it is one step."""
         legs, width = self.legs, self.layout.width if derivatives else 0
         flow = standing(before, width if derivatives else None, self.exact is not None)
         mine = np.flatnonzero(legs.count[index] > 0)
         if not len(mine):
             return flow
-        owner, here = legs.owner[index[mine]], before.of(mine)
-        steps = steps_of(self._path, owner, legs.first[index[mine]])
-        data = (steps.t, steps.h, steps.inputs, steps.doses, steps.condition)
+        owner, here, data = self._steps(index[mine], before.of(mine))
         if self.exact is None:
-            return put(flow, mine, self.points.stepped(at, owner, here, data, derivatives))
+            shares = np.ones((len(mine), 1)) if shares is None else trimmed(shares[mine])
+            return put(flow, mine, self.points.stepped(Stepped(at, owner, data, shares, derivatives), here))
         mean, a, q = (found := self.exact.evaluate(here.m, at.k[owner], at.w, data, derivatives)).parts
         slopes = at.columns(found, owner) if derivatives else [None] * 3
         return put(flow, mine, Flow(here.m, mean, a, q, d_mean=slopes[0], d_a=slopes[1], d_q=slopes[2]))
+
+    def _steps(self, index: Integers, before: Moment) -> tuple[Integers, Moment, Arrays]:
+        """The trajectories of legs, the moments at their starts, and the data of their sub-steps."""
+        owner = self.legs.owner[index]
+        steps = steps_of(self._path, owner, self.legs.first[index])
+        return owner, before, (steps.t, steps.h, steps.inputs, steps.doses, steps.condition)
 
     def readings(self, at: At, log_sd: Array, rows: Integers, before: Moment, derivatives: bool = False) -> Reading:
         """The measurements of the rows [b], at the means [b, n] and covariances there."""
@@ -181,12 +195,47 @@ class FilterEngine:
         return Moment(m, p, dm, dp)
 
     # ---------------------------------------------------------------- the filter
-    def filtered(self, vector: Array, seen: Mask | None = None, guess: Guess | None = None) -> Filtered:
+    def filtered(
+        self, vector: Array, seen: Mask | None = None, guess: Guess | None = None, held: bool = False
+    ) -> Filtered:
         """The filter at a vector; with `seen` [R, C] only these measurements update the moments. `guess` are the
-        moments for a vector nearby, which saves time."""
+        moments for a vector nearby, which saves time, and its steps, which are `held`, or divided where their errors
+        are beyond the tolerance."""
         search = self._search(vector, seen, guess)
         search.run(once=self.affine)
+        if self.tolerance is not None and not held:
+            at = At.of(self.layout, self.layout.split(vector)[0])
+            looked = Looked.at_none(len(self.legs.owner), len(self.scale))
+            while len(changed := self._divided(at, search.found, looked)):
+                search.again(changed)
         return search.found
+
+    def _divided(self, at: At, found: Filtered, looked: Looked) -> Integers:
+        """Divides the steps in `found` whose errors are beyond the tolerance, and returns their legs. Legs that have
+        been `looked` at are left out, and those after one without a finite end. Where a leg would need too many steps
+        there is no solution."""
+        legs, tolerance = self.legs, self.tolerance
+        assert tolerance is not None
+        first = np.full(len(self.start_variance), legs.places)
+        np.minimum.at(first, legs.owner[found.bad], legs.place[found.bad])
+        due = looked.due(found.start_mean, found.start_cov, SHARE * self.scale) | found.bad
+        index = np.flatnonzero(due & (legs.count > 0) & (legs.place <= first[legs.owner])).astype(np.int64)
+        if not len(index):
+            return index
+        owner, here, data = self._steps(index, found.moments(index))
+        old = trimmed(found.shares[index])
+        errors = self.points.errors(Stepped(at, owner, data, old, False), here, tolerance)
+        new = refined(old, errors)
+        good = ~(errors > 1).any(axis=1)
+        looked.put(index[good], here.m[good], here.p[good])
+        more = (new > 0).sum(axis=1) > (old > 0).sum(axis=1)
+        lost = ~good & ~more
+        if lost.any():
+            found.lost(index[lost])
+            return index[:0]
+        changed: Integers = index[more]
+        found.divide(changed, new[more])
+        return changed
 
     def linearised(self, vector: Array, moments: Guess, seen: Mask) -> Filtered:
         """The filter of the linear model that fits this one best at given moments."""
@@ -202,7 +251,7 @@ class FilterEngine:
         rows, channels = self.noise.value.shape
         found = Filtered.empty(len(self.legs.owner), len(self.scale), rows, channels, self.noise.log)
         if guess is not None and all(np.isfinite(table).all() for table in guess):
-            found.start_mean[:], found.start_cov[:], found.end_mean[:], found.end_cov[:] = guess
+            found.start_mean[:], found.start_cov[:], found.end_mean[:], found.end_cov[:], found.shares = guess
         else:
             begin = np.where(np.isfinite(start.m), start.m, 0.0)[self.legs.owner]
             found.start_mean[:] = np.where(np.isfinite(self._first), self._first, begin)
@@ -210,10 +259,13 @@ class FilterEngine:
             found.start_cov[:] = found.end_cov[:] = np.diag((FIRST * self.scale) ** 2)
         used = self.problem.valued if seen is None else seen
 
+        def flows(index: Integers, before: Moment) -> Flow:
+            return self.flows(at, index, before, shares=found.shares[index])
+
         def readings(rows: Integers, before: Moment) -> Reading:
             return replace(self.readings(at, log_sd, rows, before), seen=used[rows])
 
-        return Search(self.legs, self.scale, partial(self.flows, at), readings, self.advance, start, used, found)
+        return Search(self.legs, self.scale, flows, readings, self.advance, start, used, found)
 
     @cached_property
     def _first(self) -> Array:
@@ -235,7 +287,8 @@ class FilterEngine:
         moment = self.start(at, True)
         for chunk in self._chunks():
             index = np.arange(chunk.start, chunk.stop)
-            flows = self.flows(at, index, Moment(found.start_mean[index], found.start_cov[index]), True)
+            before = Moment(found.start_mean[index], found.start_cov[index])
+            flows = self.flows(at, index, before, True, found.shares[index])
             rows, place = legs.rows_of(index)
             ends = index[place >= 0]
             readings = self.readings(at, log_sd, rows, Moment(found.end_mean[ends], found.end_cov[ends]), True)

@@ -4,20 +4,14 @@ Of a normal x with mean m and covariance P, which the drift f and the disturbanc
 
     dm/dt = E f(x),    dP/dt = F P + P F' + E S S',    F P = E f(x) (x - m)'
 
-(Sarkka 2007, IEEE Trans. Autom. Control 52, 1631; with F = df/dx at m it would be the extended filter). A step of the
-model's Runge-Kutta method is taken for m and the transition dA/dt = F A, the expectations at every Runge-Kutta stage by
-points of the distribution there, with P = A P A' + (A + 1) t S S' (A + 1)' / 4 after the time t. That at the end is
-
-    P' = A P A' + Q,    Q = integral of A(h, s) S S' A(h, s)' ds,
-
-by Simpson's rule, with A(h, h/2) from the cubic through the values and slopes of A(h, s) at both ends (A and -A F at
-the start, 1 and -F at the end). These are sums of squares, and so positive whatever the step. With `rk4` the order is 4
-where f is linear, else 3 (2 where the disturbances depend on the state otherwise than in proportion to it).
+(Sarkka 2007, IEEE Trans. Autom. Control 52, 1631; with F = df/dx at m it would be the extended filter). A step gives
+the mean at its end, and the transition A and the added covariance Q with P' = A P A' + Q, which is positive whatever
+the step: `explicit.py` and `frozen.py` take one. A sub-step is one step, or it is divided (`division.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -25,15 +19,18 @@ import numpy as np
 from torch import Tensor
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import Explicit
+from gbspec.ir import Explicit, Method
+from gbspec.training.engines.filter.division import Tolerance
+from gbspec.training.engines.filter.explicit import explicit_step
+from gbspec.training.engines.filter.frozen import frozen_step
 from gbspec.training.engines.filter.functions import Functions
 from gbspec.training.engines.filter.layout import At
 from gbspec.training.engines.filter.local import Arrays, Evaluated
 from gbspec.training.engines.filter.recursion import Flow, Moment, Reading
-from gbspec.training.engines.filter.sigma import LEAST, NARROW, Cloud, Varied, root, seeds
+from gbspec.training.engines.filter.sigma import LEAST, NARROW, Cloud, Rates, Varied, root, seeds
 from gbspec.training.problem import Integers
 
-HALF = Fraction(1, 2)
+HALF = 0.5
 Parts = list[Varied]
 Values = tuple[Array, Array, Mask]
 Function = Callable[[Array, Array, Tensor, Arrays, bool], Evaluated]
@@ -45,56 +42,130 @@ quiet = np.errstate(all="ignore")
 
 
 @dataclass(frozen=True)
+class Stepped:
+    """Sub-steps of the trajectories `owner` [b] at the values `at`: starts `t` and lengths `h` [b], inputs at the
+    method's nodes `u` [b, nodes, inputs], doses at the starts [b, kinds], conditions [b, c]; the `shares` [b, K] of the
+    steps in each, in which nothing is left of those that have fewer; and whether derivatives are wanted."""
+
+    at: At
+    owner: Integers
+    data: Arrays
+    shares: Array
+    derivatives: bool
+
+    def of(self, who: Integers) -> Stepped:
+        """Some of them."""
+        return replace(
+            self, owner=self.owner[who], data=tuple(part[who] for part in self.data), shares=self.shares[who]
+        )
+
+
+@dataclass
+class _Reached:
+    """Mean and covariance after some of the steps of sub-steps, and transition and added covariance of these."""
+
+    mean: Varied
+    cov: Varied
+    a: Array
+    q: Array
+
+    def of(self, who: Integers) -> _Reached:
+        """Those of some sub-steps."""
+        return _Reached(self.mean.of(who), self.cov.of(who), self.a[who], self.q[who])
+
+    def after(self, m: Varied, a: Varied, q: Varied) -> _Reached:
+        """What is reached by one more step."""
+        cov = a @ self.cov @ a.transposed + q
+        return _Reached(m, cov, a.value @ self.a, a.value @ self.q @ a.value.swapaxes(1, 2) + q.value)
+
+    @property
+    def own(self) -> _Reached:
+        """A copy, which `put` may change."""
+        return _Reached(self.mean.own, self.cov.own, self.a.copy(), self.q.copy())
+
+    def put(self, who: Integers, other: _Reached) -> None:
+        """What some have reached, in place."""
+        self.mean.put(who, other.mean)
+        self.cov.put(who, other.cov)
+        self.a[who], self.q[who] = other.a, other.q
+
+
+@dataclass(frozen=True)
 class Points:
     """The functions of a model at the points of distributions; `scale` [n] are the typical sizes of coordinates,
     `method` that by which steps are taken."""
 
     functions: Functions
     scale: Array
-    method: Explicit
+    method: Method
 
     @quiet
-    def stepped(self, at: At, owner: Integers, before: Moment, data: Arrays, derivatives: bool) -> Flow:
-        """What happens in sub-steps of the trajectories `owner` [b] from these moments: starts and lengths [b], inputs
-        at the method's nodes [b, nodes, inputs], doses at the starts [b, kinds], conditions [b, c]."""
-        t, h, u, doses, condition = data
-        mean, start = seeds(before.m, before.p, at.layout.width, derivatives)
-        cov, one, jump = start, np.eye(len(self.scale)), None
-        if doses.shape[-1]:
-            cloud, (y,) = self._seen(self.functions.dosed, at, owner, (mean, cov), (doses, condition), derivatives)
-            mean, jump, left = cloud.mean(y), cloud.matrix(y), cloud.remaining(y)
-            cov = jump @ cov @ jump.transposed + left
-
-        def stage(node: int, m: Varied, p: Varied) -> Parts:
-            there = (t + float(nodes[node]) * h, u[:, node], condition)
-            cloud, (drift, square) = self._seen(self.functions.field, at, owner, (m, p), there, derivatives)
-            return [cloud.mean(drift), cloud.matrix(drift), cloud.average(square).diagonal]
-
-        method, nodes = self.method, self.method.nodes
-        found: list[Parts] = []
-        rates: list[tuple[Varied, Varied]] = []
-        for row, c in zip(method.a[: method.advancing], method.c, strict=False):
-            m, a = _ahead(mean, row, rates, h)
-            found.append(stage(nodes.index(c), m, _between(a, cov, found[0][2], float(c) * h) if found else cov))
-            rates.append((found[-1][0], found[-1][1] @ a))
-        m, a = _ahead(mean, method.b[: method.advancing], rates, h)
-        last = found[-1]
-        if method.c[len(found) - 1] != 1:
-            last = stage(len(nodes) - 1, m, _between(a, cov, found[0][2], h))
-        halves = [each for each, c in zip(found, method.c, strict=False) if c == HALF]
-        middle_square = halves[-1][2] if halves else (found[0][2] + last[2]).times(0.5)
-        middle = (a + one).times(0.5) + (last[1] - a @ found[0][1]).times(0.125 * h)
-        q = last[2].times(h / 6)
-        for factor, square, weight in ((a, found[0][2], 1 / 6), (middle, middle_square, 4 / 6)):
-            q = q + factor @ square.times(weight * h) @ factor.transposed
-        if jump is not None:
-            q, a = q + a @ left @ a.transposed, a @ jump
-        tables = before.m, m.value[:, :, 0], a.value, q.value, before.p
-        if not derivatives:
+    def stepped(self, legs: Stepped, before: Moment) -> Flow:
+        """What happens in sub-steps from these moments."""
+        reached = self._dosed(legs, before)
+        if legs.shares.shape[1] == 1:
+            reached = self._step(legs, reached, np.zeros(len(legs.owner)), np.ones(len(legs.owner)))
+        else:
+            reached = reached.own
+            for who, begin, length in _steps(legs.shares):
+                reached.put(who, self._step(legs.of(who), reached.of(who), begin, length))
+        tables = before.m, reached.mean.value[:, :, 0], reached.a, reached.q, before.p
+        if not legs.derivatives:
             return Flow(*tables)
-        end = a @ start @ a.transposed + q
-        both, table = len(self.scale) * (len(self.scale) + 1), np.concatenate([_flat(m), _flat(end)], axis=1)
+        both = len(self.scale) * (len(self.scale) + 1)
+        table = np.concatenate([_flat(reached.mean), _flat(reached.cov)], axis=1)
         return Flow(*tables, table[..., :both], table[..., both:])
+
+    @quiet
+    def errors(self, legs: Stepped, before: Moment, tolerance: Tolerance) -> Array:
+        """The errors [b, K] of the steps in sub-steps, in units of the tolerance: what two halves of a step change."""
+        reached, out = self._dosed(legs, before).own, np.zeros(legs.shares.shape)
+        for place, (who, begin, length) in enumerate(_steps(legs.shares)):
+            here, twice, count = reached.of(who), np.concatenate([who, who]), len(who)
+            lengths = np.concatenate([length, HALF * length])
+            both = self._step(legs.of(twice), reached.of(twice), np.concatenate([begin, begin]), lengths)
+            whole, middle = both.of(np.arange(count)), both.of(np.arange(count, 2 * count))
+            end = self._step(legs.of(who), middle, begin + HALF * length, HALF * length)
+            out[who, place] = tolerance.error(
+                (here.mean.value[:, :, 0], whole.mean.value[:, :, 0], end.mean.value[:, :, 0]),
+                (whole.cov.value, end.cov.value),
+            )
+            reached.put(who, whole)
+        return out
+
+    def _dosed(self, legs: Stepped, before: Moment) -> _Reached:
+        """What the doses at the start lead to."""
+        doses, condition = legs.data[3:]
+        mean, cov = seeds(before.m, before.p, legs.at.layout.width, legs.derivatives)
+        count, n = before.m.shape
+        unit, zero = np.tile(np.eye(n), (count, 1, 1)), np.zeros((count, n, n))
+        start = _Reached(mean, cov, unit, zero)
+        if not doses.shape[-1]:
+            return start
+        cloud, (y,) = self._seen(
+            self.functions.dosed, legs.at, legs.owner, (mean, cov), (doses, condition), legs.derivatives
+        )
+        return start.after(cloud.mean(y), cloud.matrix(y), cloud.remaining(y))
+
+    def _step(self, legs: Stepped, reached: _Reached, begin: Array, length: Array) -> _Reached:
+        """One step in sub-steps, after the share `begin` [b] of them, of the share `length` [b]."""
+        t, h, u, _, condition = legs.data
+        nodes = self.method.nodes
+
+        def stage(node: Fraction, m: Varied, p: Varied) -> Rates:
+            share = begin + float(node) * length
+            given = u[:, 0] + share[:, None] * (u[:, -1] - u[:, 0])
+            if node in nodes:
+                given = np.where((length == 1)[:, None], u[:, nodes.index(node)], given)
+            data = t + share * h, given, condition
+            cloud, (drift, square) = self._seen(
+                self.functions.field, legs.at, legs.owner, (m, p), data, legs.derivatives
+            )
+            return Rates(cloud.mean(drift), cloud.matrix(drift), cloud.average(square))
+
+        if isinstance(self.method, Explicit):
+            return reached.after(*explicit_step(self.method, stage, reached.mean, reached.cov, length * h))
+        return reached.after(*frozen_step(stage, reached.mean, reached.cov, length * h))
 
     @quiet
     def read(self, at: At, owner: Integers, before: Moment, data: Arrays, values: Values, d_r: Array | None) -> Reading:
@@ -146,22 +217,13 @@ class Points:
         return cloud, cloud.of_values(found.parts, found.by_state, columns)
 
 
-def _ahead(
-    start: Varied, row: Sequence[Fraction], rates: Sequence[tuple[Varied, Varied]], h: Array
-) -> tuple[Varied, Varied]:
-    """Mean and transition after a step with these weights of their rates."""
-    count, n = start.value.shape[:2]
-    mean, way = start, Varied(np.broadcast_to(np.eye(n), (count, n, n)))
-    for weight, (of_mean, of_way) in zip(row, rates, strict=True):
-        if weight:
-            mean, way = mean + of_mean.times(float(weight) * h), way + of_way.times(float(weight) * h)
-    return mean, way
-
-
-def _between(way: Varied, cov: Varied, square: Varied, time: Array) -> Varied:
-    """The covariance after a part of a sub-step, of order 3 in its length, and positive."""
-    middle = (way + np.eye(cov.value.shape[1])).times(0.5)
-    return way @ cov @ way.transposed + middle @ square.times(time) @ middle.transposed
+def _steps(shares: Array) -> Iterator[tuple[Integers, Array, Array]]:
+    """One step of each sub-step that has one, after the other: which sub-steps, and what share of them is before the
+    step and what in it."""
+    begin = np.concatenate([np.zeros((len(shares), 1)), np.cumsum(shares, axis=1)], axis=1)
+    for place in range(shares.shape[1]):
+        who = np.flatnonzero(shares[:, place] > 0)
+        yield who, begin[who, place], shares[who, place]
 
 
 def _flat(table: Varied) -> Array:

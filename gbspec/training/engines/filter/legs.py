@@ -8,6 +8,7 @@ decreasing number of legs, so that those with a leg at a place come first.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -35,6 +36,11 @@ class Legs:
     def places(self) -> int:
         """The number of legs of the longest trajectory."""
         return len(self.begins) - 1
+
+    @cached_property
+    def place(self) -> Integers:
+        """The place of each leg within its trajectory [B]."""
+        return np.repeat(np.arange(self.places), np.diff(self.begins))
 
     def at(self, place: int) -> slice:
         """The legs at a place."""

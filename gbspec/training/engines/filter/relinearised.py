@@ -24,7 +24,7 @@ def iterated(engine: FilterEngine, vector: Array, found: Filtered) -> tuple[Arra
     plain = moments = smoothed(found, engine.legs)
     if not found.finite or engine.affine:
         return plain
-    at, last = _guess(moments), np.inf
+    at, last = _guess(moments, found.shares), np.inf
     for _ in range(ITERATIONS):
         again = engine.linearised(vector, at, found.seen)
         if again.bad.any() or not np.isfinite(again.post_mean).all():
@@ -37,14 +37,14 @@ def iterated(engine: FilterEngine, vector: Array, found: Filtered) -> tuple[Arra
             return moments
         # Paths that swing from side to side are averaged.
         share = 1.0 if change < 0.5 * last else 0.5
-        new = _guess(moments)
-        a, b, c, d = (share * one + (1 - share) * old for one, old in zip(new, at, strict=True))
-        at = a, b, c, d
+        new = _guess(moments, found.shares)
+        a, b, c, d = (share * one + (1 - share) * old for one, old in zip(new[:4], at[:4], strict=True))
+        at = a, b, c, d, found.shares
         last = change
     return plain
 
 
-def _guess(moments: Guess) -> Guess:
-    """Moments at ends and starts, those at starts first."""
+def _guess(moments: tuple[Array, Array, Array, Array], shares: Array) -> Guess:
+    """Moments at ends and starts, those at starts first, with the steps of legs."""
     mean, cov, start_mean, start_cov = moments
-    return start_mean, start_cov, mean, cov
+    return start_mean, start_cov, mean, cov, shares

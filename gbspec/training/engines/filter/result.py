@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbspec.arrays import Array, Mask
+from gbspec.training.engines.filter.division import joined
 from gbspec.training.engines.filter.layout import Layout
 from gbspec.training.engines.filter.recursion import Innovations, Kept, Moment
 from gbspec.training.problem import Integers
 
-Guess = tuple[Array, Array, Array, Array]
-"""Means [B, n] and covariances [B, n, n] at the starts of legs, and those at their ends."""
+Guess = tuple[Array, Array, Array, Array, Array]
+"""Means [B, n] and covariances [B, n, n] at the starts of legs, those at their ends, and the steps of legs [B, K]."""
 
 
 @dataclass
@@ -21,9 +22,9 @@ class Filtered:
 
     Means and covariances at the start of a leg (`start_mean` [B, n], `start_cov` [B, n, n]), at its end before
     (`end_mean`, `end_cov`) and after the measurements there (`post_mean`, `post_cov`), and its transition matrix `a`;
-    the legs whose solution is not finite (`bad`). At rows: the errors of predictions `error` [R, C], each given the
-    earlier channels, their variances `variance`, and the predictions
-    without these, `mean`.
+    the legs whose solution is not finite (`bad`), and the steps in each as shares of it (`shares` [B, K]). At rows: the
+    errors of predictions `error` [R, C], each given the earlier channels, their variances `variance`, and the
+    predictions without these, `mean`.
     """
 
     start_mean: Array
@@ -38,6 +39,7 @@ class Filtered:
     variance: Array
     mean: Array
     log: Mask
+    shares: Array
     seen: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
     value: float = float("inf")
 
@@ -47,7 +49,7 @@ class Filtered:
         a, b, c = (np.zeros((legs, n)) for _ in range(3))
         d, e, f, g = (np.zeros((legs, n, n)) for _ in range(4))
         p, q, r = (np.full((rows, channels), np.nan) for _ in range(3))
-        return cls(a, d, b, e, c, f, g, np.zeros(legs, dtype=np.bool_), p, q, r, log)
+        return cls(a, d, b, e, c, f, g, np.zeros(legs, dtype=np.bool_), p, q, r, log, np.ones((legs, 1)))
 
     def moments(self, legs: Integers, end: bool = False) -> Moment:
         """Copies of the moments at the starts of legs, or at their ends; covariances that are not finite are zero."""
@@ -56,8 +58,16 @@ class Filtered:
 
     @property
     def guess(self) -> Guess:
-        """The moments as a guess for a vector nearby."""
-        return self.start_mean, self.start_cov, self.end_mean, self.end_cov
+        """The moments and steps as a guess for a vector nearby."""
+        return self.start_mean, self.start_cov, self.end_mean, self.end_cov, self.shares
+
+    def divide(self, legs: Integers, shares: Array) -> None:
+        """Takes other steps in some legs."""
+        self.shares = joined(self.shares, legs, shares)
+
+    def lost(self, legs: Integers) -> None:
+        """There is no solution in some legs."""
+        self.bad[legs], self.value = True, float("inf")
 
     def put(self, legs: Integers, kept: Kept, a: Array, rows: Integers, innovations: Innovations) -> None:
         """Keeps what has been found at legs, and at the rows at their ends."""

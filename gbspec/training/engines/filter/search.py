@@ -53,6 +53,11 @@ class Search:
                 window = WINDOW
         self.found.finish(self.seen)
 
+    def again(self, changed: Integers) -> None:
+        """The same where the flows of some legs are others now."""
+        self.old_legs[changed], self.found.value = True, float("inf")
+        self.run(once=False)
+
     def _pass(self, begin: int, end: int) -> int:
         """One pass over the places from `begin` to `end`; the first place whose guess was not exact."""
         legs, found = self.legs, self.found

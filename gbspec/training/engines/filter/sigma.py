@@ -18,13 +18,16 @@ that is a linearisation at the mean with the second-order term of the mean.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache, cached_property
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines.filter.local import Arrays
+from gbspec.training.problem import Integers
 
 NARROW = 0.01
 """The factor of the distances of points where the function has no value further out."""
@@ -73,10 +76,20 @@ class Varied:
         """The transposed matrices."""
         return Varied(self.value.swapaxes(-1, -2), None if self.slopes is None else self.slopes.swapaxes(-1, -2))
 
+    def of(self, who: Integers) -> Varied:
+        """Some of the matrices."""
+        return Varied(self.value[who], None if self.slopes is None else self.slopes[who])
+
     @property
-    def squared(self) -> Varied:
-        """The products with the transposed matrices."""
-        return self @ self.transposed
+    def own(self) -> Varied:
+        """A copy, which `put` may change."""
+        return Varied(self.value.copy(), None if self.slopes is None else self.slopes.copy())
+
+    def put(self, who: Integers, other: Varied) -> None:
+        """Replaces some of the matrices, in place."""
+        self.value[who] = other.value
+        if self.slopes is not None and other.slopes is not None:
+            self.slopes[who] = other.slopes
 
     @property
     def diagonal(self) -> Varied:
@@ -203,6 +216,20 @@ class Cloud:
         here = rule(self.lower.value.shape[1])
         left = y @ here.rest
         return (left @ here.spread @ left.transposed).times(self.reach**-2)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Expectations over distributions: of the drift [B, n, 1], and of the squares of the disturbances [B, n, 1]; the
+    `matrix` [B, n, n] is that of the linear function that fits the drift best."""
+
+    drift: Varied
+    matrix: Varied
+    square: Varied
+
+
+Stage = Callable[[Fraction, Varied, Varied], Rates]
+"""Expectations at a share of the step over distributions with these means and covariances."""
 
 
 def seeds(mean: Array, cov: Array, width: int, derivatives: bool) -> tuple[Varied, Varied]:

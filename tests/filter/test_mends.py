@@ -1,0 +1,52 @@
+"""What fits of disturbed models begin with, and covariances within explicit steps."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.arrays import Array
+from gbspec.ir import METHODS, Explicit
+from gbspec.training.engines import FilterEngine
+from gbspec.training.engines.filter.explicit import explicit_step
+from gbspec.training.engines.filter.sigma import Rates, Varied
+from gbspec.training.optimise import InnovationsFit
+from tests.filter.conftest import BENT, engine_of, table
+
+
+@pytest.mark.parametrize("method", [one for one in METHODS.values() if isinstance(one, Explicit)])
+def test_covariances_within_an_explicit_step_are_positive(method: Explicit) -> None:
+    """Modes that decay by e^-2.5 within a step, of states that are correlated, and one disturbance."""
+    f, square = np.array([[-2.5, 0.4], [0.1, -2.0]]), np.array([[1.0], [0.0]])
+    cov, seen = np.array([[1.0, 0.9], [0.9, 0.82]]), []
+
+    def stage(at: Fraction, m: Varied, p: Varied) -> Rates:
+        seen.append(p.value[0])
+        return Rates(Varied(f @ m.value), Varied(f[None]), Varied(square[None]))
+
+    m, a, q = explicit_step(method, stage, Varied(np.ones((1, 2, 1))), Varied(cov[None]), np.ones(1))
+    assert len(seen) >= method.advancing
+    for each in (*seen, q.value[0], a.value[0] @ cov @ a.value[0].T + q.value[0]):
+        assert np.linalg.eigvalsh(each).min() > -1e-12
+    assert np.isfinite(m.value).all()
+
+
+@pytest.mark.parametrize(("finite", "waiting"), [((1,), 0), ((0, 2), 1), ((0, 1, 2, 3), 2), ((), 0)])
+def test_vectors_without_a_solution_are_no_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, finite: tuple[int, ...], waiting: int
+) -> None:
+    engine, vector = engine_of(tmp_path, BENT, table("X V y", rows=4))
+    theta, tried = engine.layout.split(vector)[0], []
+
+    def value(_: FilterEngine, of: Array) -> float:
+        tried.append(of)
+        return float(len(tried)) if len(tried) - 1 in finite else np.inf
+
+    monkeypatch.setattr(FilterEngine, "value", value)
+    state = InnovationsFit("innovations", 10, lambda: engine, [theta + 0.1], None).begin(theta)
+    assert len(state["waiting"]) == waiting
+    first = np.concatenate([state["theta"], state["log_sd"]])
+    assert np.array_equal(first, tried[min(finite, default=0)])
