@@ -176,6 +176,22 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     assert "lacks more" in said
 
 
+def test_autocorrelated_residuals_of_a_population_are_not_said_to_widen_its_intervals() -> None:
+    """Its likelihood takes them for independent, and `diffusion` is not offered together with distributions."""
+    text = "model m\ntime t : h\nstate x : K = 1\nlearn k : 1/h = 1 > 0 per trajectory ~ lognormal\n"
+    model = model_of(text + "x' = -k*x\ninitial x = 1\nobserve x\n")
+    followed = {"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}
+    (said,) = autocorrelations(followed, model, {"x": 0.123})
+    assert "too narrow" in said and "times as wide" not in said
+    assert "`diffusion" not in said
+
+
+def test_the_start_of_a_disturbance_is_written_as_people_write_it() -> None:
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
+    (said,) = autocorrelations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}, model, {"x": 12.3})
+    assert "`learn s_x = 10 > 0`" in said
+
+
 def fitted(sd: float, r2: float, *stages: StageRecord) -> MemberResult:
     channels = {"x": ChannelRecord(r2, 0.0, autocorrelation=0.9, pairs=100)}
     known = {"k": sd}
