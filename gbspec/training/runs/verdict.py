@@ -145,9 +145,9 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
         return ". The statement `diffusion` describes random disturbances of states between measurements"
     state, time = model.states[channel.state], model.time.unit
     unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
-    size = rmse.get(channel.name, 0.0)
+    start = _rounded(rmse.get(channel.name, 0.0))
     return (
-        f". To describe disturbances of `{state.name}`, add the lines `learn s_{state.name}{unit} = {_rounded(size)} > 0` and "
+        f". To describe disturbances of `{state.name}`, add the lines `learn s_{state.name}{unit} = {start} > 0` and "
         f"`diffusion {state.name} = s_{state.name}`"
     )
 
