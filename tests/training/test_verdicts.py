@@ -40,6 +40,13 @@ def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive
     assert all(said in text and "`x`" in text and "postulate" in text for text in found)
 
 
+def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
+    (said,) = verdicts({"x": ChannelRecord(-0.1, 0.2, "the mean of each trajectory")}, model)
+    assert "unknown function" not in said and "network" not in said
+    assert "what may help" in said
+
+
 @pytest.mark.parametrize(
     ("correlation", "pairs", "r2", "said"),
     [

@@ -429,7 +429,8 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
             )
         left = _of_residuals(result, options, model)
         left += above_stated(result.noise, model) if model is not None else []
-        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
+        said = (*verdicts(result.channels, model), *left, *result.left, *result.notes)
+        out += [f"member {member}: {text}" for text in said]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)

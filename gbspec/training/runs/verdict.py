@@ -31,17 +31,22 @@ REMEDIES = (
     "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
     "`--members 5`, or another model"
 )
+REMEDIES_OF_KNOWN_FORMS = (
+    "do not rely on it for simulation; what may help: `--effort high`, narrower bounds or starting values nearer to "
+    "what is meant, `per trajectory` constants, another state, or another model"
+)
 
 
-def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
+def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) -> list[str]:
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse."""
+    remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     out = []
     for name, found in channels.items():
         if found.r2 is None or found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
             continue
         compared = "worse than" if found.r2 < found.naive else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
-        out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {REMEDIES}")
+        out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
 
 

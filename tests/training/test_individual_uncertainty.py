@@ -1,0 +1,32 @@
+"""Intervals of single trajectories contain the uncertainty of what they have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.training import TrainOptions, train
+from tests.training.test_populations import LEVEL, levels, model_of
+
+SUBJECTS, VALUES, NOISE = 8, 4, 0.4
+
+
+@pytest.mark.parametrize("spread", [1.5, 0.2, 1e-6])
+def test_the_standard_deviation_of_a_trajectory_is_that_of_its_prediction(spread: float, tmp_path: Path) -> None:
+    """With known variances the best linear unbiased prediction has a variance in closed form; where trajectories do not
+    differ it is that of the median, not zero."""
+    text = LEVEL.replace("normal(s)", f"normal({spread})").replace("normal(e)", f"normal({NOISE})")
+    text = text.replace("learn s = 1 > 0\n", "").replace("learn e = 0.5 > 0\n", "")
+    _, data, _ = levels(tmp_path)
+    run = train(model_of(text, tmp_path), data, TrainOptions(workers=1, backend="torch"), tmp_path / "run")
+    of_mean = NOISE**2 / VALUES
+    share = spread**2 / (spread**2 + of_mean)
+    median = (spread**2 + of_mean) / SUBJECTS
+    record = run.fit.constants["m"]
+    assert record.sd == pytest.approx(np.sqrt(median), rel=1e-3)
+    expected = np.sqrt(spread**2 * (1 - share) + (1 - share) ** 2 * median)
+    assert record.per_trajectory is not None and len(record.per_trajectory) == SUBJECTS
+    for each in record.per_trajectory.values():
+        assert each.sd == pytest.approx(expected, rel=1e-3)
