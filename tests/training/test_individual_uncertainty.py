@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.diagnostics import Findings
+from gbspec.operations import tables
 from gbspec.training import TrainOptions, train
-from tests.training.test_populations import LEVEL, levels, model_of
+from tests.training.test_populations import LEVEL, levels, model_of, table
 
 SUBJECTS, VALUES, NOISE = 8, 4, 0.4
 
@@ -30,3 +32,18 @@ def test_the_standard_deviation_of_a_trajectory_is_that_of_its_prediction(spread
     assert record.per_trajectory is not None and len(record.per_trajectory) == SUBJECTS
     for each in record.per_trajectory.values():
         assert each.sd == pytest.approx(expected, rel=1e-3)
+
+
+def test_trajectories_that_do_not_differ_are_as_uncertain_as_their_median(tmp_path: Path) -> None:
+    """The learned spread ends at zero, and its standard deviation on the scale of logarithms has any size."""
+    random = np.random.default_rng(3)
+    values = 5 + 0.4 * random.standard_normal((SUBJECTS, VALUES))
+    values += 5 - values.mean(axis=1, keepdims=True) + 0.01 * random.standard_normal((SUBJECTS, 1))
+    model = model_of(LEVEL, tmp_path)
+    data = tables.read_data(table(tmp_path, values, np.arange(float(VALUES))), model, Findings())
+    run = train(model, data, TrainOptions(workers=1, backend="torch"), tmp_path / "run")
+    record = run.fit.constants["m"]
+    assert run.fit.population is not None and run.fit.population.effects["m"].sd < 1e-3
+    assert record.sd is not None and record.per_trajectory is not None
+    for each in record.per_trajectory.values():
+        assert each.sd == pytest.approx(record.sd, rel=0.02)

@@ -12,7 +12,12 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.training.population.layout import Layout
 from gbspec.training.population.objective import Objective, Point
+
+UNKNOWN = 1.0
+"""A spread is taken to be known to such a factor e at least: where data leave open whether it is zero, its standard
+deviation on the scale of logarithms has any size, over which nothing is linear."""
 
 STEP, LONGEST = 0.1, 0.02
 """The differences are over this many standard deviations of a combination of parameters, at most `LONGEST` on the
@@ -23,7 +28,8 @@ def of_parameters(objective: Objective, point: Point, weights: Array, covariance
     """The variance [N, q] of the distributed constants of trajectories due to the covariance [P, P] of u; parameters
     of which nothing is known, as of a spread that ended at zero, are left out."""
     known = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    values, vectors = np.linalg.eigh(covariance[np.ix_(known, known)])
+    limits = _limits(objective.layout, covariance)
+    values, vectors = np.linalg.eigh((covariance * np.outer(limits, limits))[np.ix_(known, known)])
     total = np.zeros_like(_constants(objective, point.u, point.z, weights))
     for variance, vector in zip(values, vectors.T, strict=True):
         if not variance > 0:
@@ -35,6 +41,15 @@ def of_parameters(objective: Objective, point: Point, weights: Array, covariance
         slope = (above - below) / (2 * min(STEP * deviation, LONGEST))
         total += np.where(np.isfinite(slope), variance * slope**2, 0.0)
     return total
+
+
+def _limits(layout: Layout, covariance: Array) -> Array:
+    """Factors [P] of the parameters' standard deviations: 1, of spreads such that they are at most `UNKNOWN`."""
+    deviation = np.sqrt(np.maximum(np.nan_to_num(np.diag(covariance)), 0.0))
+    made = [learnable.distribution for learnable in layout.distributed if learnable.distribution is not None]
+    spreads = {name for each in made for name, _ in each.spreads}
+    chosen = np.array([name in spreads for name in layout.names], dtype=bool)
+    return np.where(chosen, np.minimum(1.0, UNKNOWN / np.maximum(deviation, 1e-300)), 1.0)
 
 
 def _constants(objective: Objective, u: Array, z: Array, weights: Array) -> Array:
