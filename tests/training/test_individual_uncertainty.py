@@ -26,6 +26,7 @@ def test_the_standard_deviation_of_a_trajectory_is_that_of_its_prediction(spread
     of_mean = NOISE**2 / VALUES
     share = spread**2 / (spread**2 + of_mean)
     median = (spread**2 + of_mean) / SUBJECTS
+    assert not any("ended at zero" in text for text in run.fit.warnings), "a spread that is stated"
     record = run.fit.constants["m"]
     assert record.sd == pytest.approx(np.sqrt(median), rel=1e-3)
     expected = np.sqrt(spread**2 * (1 - share) + (1 - share) ** 2 * median)
@@ -42,6 +43,7 @@ def test_trajectories_that_do_not_differ_are_as_uncertain_as_their_median(tmp_pa
     model = model_of(LEVEL, tmp_path)
     data = tables.read_data(table(tmp_path, values, np.arange(float(VALUES))), model, Findings())
     run = train(model, data, TrainOptions(workers=1, backend="torch"), tmp_path / "run")
+    assert any("the spread of `m` between values of `trajectory` ended at zero" in text for text in run.fit.warnings)
     record = run.fit.constants["m"]
     assert run.fit.population is not None and run.fit.population.effects["m"].sd < 1e-3
     assert record.sd is not None and record.per_trajectory is not None

@@ -427,10 +427,9 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these trajectories do not count as fitted"
             )
-        left = _of_residuals(result, options, model)
+        left = [*verdicts(result.channels, model), *_of_residuals(result, options, model)]
         left += above_stated(result.noise, model) if model is not None else []
-        said = (*verdicts(result.channels, model), *left, *result.left, *result.notes)
-        out += [f"member {member}: {text}" for text in said]
+        out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)
