@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import gbspec
 from gbspec.diagnostics import Findings
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, train
@@ -49,3 +50,13 @@ def test_trajectories_that_do_not_differ_are_as_uncertain_as_their_median(tmp_pa
     assert record.sd is not None and record.per_trajectory is not None
     for each in record.per_trajectory.values():
         assert each.sd == pytest.approx(record.sd, rel=0.02)
+
+
+def test_predictions_of_a_population_do_not_offer_members(tmp_path: Path) -> None:
+    """Further members would end at the same maximum of the likelihood."""
+    model, data, _ = levels(tmp_path)
+    options = TrainOptions(workers=1, backend="torch", effort="low")
+    train(model, data, options, tmp_path / "run")
+    found = gbspec.open_run(tmp_path / "run").predict(tmp_path / "data.csv")
+    (said,) = [text for text in found.warnings if "too narrow" in text]
+    assert "medians" in said and "--members" not in said
