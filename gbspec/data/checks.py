@@ -39,9 +39,9 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
         elif quantity.role == "input" and quantity in table.series and model.inputs[quantity.index].default is None:
             _known_at_start(table, quantity, start, findings)
     if measured:
-        known = any(state.initial.kind in ("expression", "steady") for state in model.states)
-        told = start if known else np.full(len(start), -np.inf if model.time.start is not None else np.inf)
-        _measured(table, told, findings)
+        given = any(state.initial.kind in ("expression", "steady") for state in model.states)
+        fixed = model.time.start is not None
+        _measured(table, np.full(len(start), -np.inf) if fixed else start if given else start + np.inf, findings)
 
 
 def _resolved(table: Records, findings: Findings) -> None:
