@@ -39,7 +39,9 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
         elif quantity.role == "input" and quantity in table.series and model.inputs[quantity.index].default is None:
             _known_at_start(table, quantity, start, findings)
     if measured:
-        _measured(table, model.time.start is not None, findings)
+        given = any(state.initial.kind in ("expression", "steady") for state in model.states)
+        fixed = model.time.start is not None
+        _measured(table, np.full(len(start), -np.inf) if fixed else start if given else start + np.inf, findings)
 
 
 def _resolved(table: Records, findings: Findings) -> None:
@@ -227,8 +229,9 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
         )
 
 
-def _measured(table: Records, fixed_start: bool, findings: Findings) -> None:
-    """Reports tables without measurements; warns of trajectories with fewer than two measured times."""
+def _measured(table: Records, known: Array, findings: Findings) -> None:
+    """Reports tables without measurements; warns of trajectories with fewer than two measured times, unless their one
+    time comes after that of a `known` start [trajectories], as where a dose is given first."""
     channels = {quantity: cells for quantity, cells in table.series.items() if quantity.role == "channel"}
     hit = np.zeros(len(table.time), dtype=bool)
     for cells in channels.values():
@@ -247,8 +250,9 @@ def _measured(table: Records, fixed_start: bool, findings: Findings) -> None:
     count = np.bincount(table.group[hit], minlength=len(table.labels))
     present = np.unique(table.group)
     _point_out(table, [int(g) for g in present if count[g] == 0], "GB728", findings)
-    if not fixed_start:
-        _point_out(table, [int(g) for g in present if count[g] == 1], "GB727", findings)
+    last = np.full(len(table.labels), -np.inf)
+    np.maximum.at(last, table.group[hit], table.time[hit])
+    _point_out(table, [int(g) for g in present if count[g] == 1 and not last[g] > known[g]], "GB727", findings)
 
 
 def _point_out(table: Records, groups: list[int], code: str, findings: Findings) -> None:

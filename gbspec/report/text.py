@@ -158,12 +158,22 @@ def start(initial: Initial, measured: bool) -> str:
 def _learnable(learnable: Learnable) -> str:
     limited = math.isfinite(learnable.range.low) or math.isfinite(learnable.range.high)
     where = f" in {_range(learnable.range)}" if limited else ""
-    scope = " per trajectory" if learnable.per_trajectory else ""
+    return f"{learnable.name} from {number(learnable.start)}{where}{_differing(learnable)}"
+
+
+def _differing(learnable: Learnable) -> str:
+    """How the values of a constant differ, in the words of the language."""
     made = learnable.distribution
-    if made is not None:
-        apart = f"({made.spread or made.fixed})" if made.kind != "standard" else ""
-        scope += f" ~ {'normal(0, 1)' if made.kind == 'standard' else made.kind}{apart}"
-    return f"{learnable.name} from {number(learnable.start)}{where}{scope}"
+    if made is None:
+        return " per trajectory" if learnable.per_trajectory else ""
+    kind = "normal(0, 1)" if made.kind == "standard" else made.kind
+    columns = ["trajectory", *(level.column for level in made.levels)]
+    differ = [
+        f" per {column} ~ {kind}" + (f"({spread or f'{fixed:g}'})" if made.kind != "standard" else "")
+        for column, (spread, fixed) in zip(columns, made.spreads, strict=True)
+        if spread or fixed or len(columns) == 1
+    ]
+    return "".join(differ)
 
 
 def _range(given: Range | None) -> str:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 import pytest
+import sympy
 
 from gbspec.data.table import read
 from gbspec.diagnostics import Cell, Diagnostic, Findings, Severity, UserError
 from gbspec.diagnostics.catalogue import entries
-from gbspec.ir.model import Condition, Initial, Model, symbol
+from gbspec.ir.model import Condition, Initial, Model, Time, symbol
 from tests.data.hand_models import decay, drip, growth, patient, reactor, tank
 from tests.data.reader import Reader
 
@@ -119,6 +121,17 @@ def test_files_that_are_not_tables(reading: Reader, tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         read(tmp_path / "folder.csv", reactor(), Findings())
     assert caught.value.diagnostics[0].code == "GB701"
+
+
+def test_one_measurement_after_a_known_start_tells_of_the_dynamics(reading: Reader) -> None:
+    """A dose in the first row and one concentration later, from a model without `time … from`."""
+    sparse = "trajectory,t,plasma mg/L,dose_S\n1,0,,5\n1,3,1,\n2,0,2,5\n2,9,,\n"
+    model = replace(patient(), time=Time("t"))
+    _, findings = reading(sparse, model)
+    assert places(findings) == [("GB727", 2, None)]
+    given = replace(model.states[0], initial=Initial("expression", sympy.Float(0)))
+    _, findings = reading(sparse, replace(model, states=(given,)))
+    assert places(findings) == [("GB727", 4, None)], "the other one is measured at the start alone"
 
 
 @pytest.mark.parametrize("column", ["t", "x1", "trajectory"])

@@ -29,4 +29,4 @@ def system(*row: float) -> LinearSystem:
     ],
 )
 def test_a_function_is_free_if_it_can_move_at_every_point(systems: list[LinearSystem], free: tuple[str, ...]) -> None:
-    assert directions._free_functions(systems) == free
+    assert directions._loose(systems) == (free, ())

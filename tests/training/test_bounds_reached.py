@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import gbspec
-from gbspec.training.runs.constants import at_bounds, inside_bounds
+from gbspec.runs import ConstantRecord
+from gbspec.training.runs.constants import at_bounds, inside_bounds, undetermined
 
 TEXT = """\
 model m
@@ -62,3 +63,34 @@ def test_far_apart_bounds_are_reached_on_the_scale_of_logarithms(
 ) -> None:
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k in [1e-5, 1e5] = 0.03"))
     assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted
+
+
+@pytest.mark.parametrize(
+    ("bounds", "interval", "said"),
+    [
+        ("in [0, 1]", (0.02, 0.98), True),
+        ("in [0, 1]", (0.2, 0.98), False),
+        ("in [1e-5, 1e5]", (2e-5, 8e4), True),
+        ("in [1e-5, 1e5]", (1.0, 9.9e4), False),
+        ("> 0", (1e-9, 1e9), False),
+        ("in [0, 1]", None, False),
+    ],
+)
+def test_an_interval_that_covers_the_bounds_is_said_to_tell_nothing(
+    tmp_path: Path, bounds: str, interval: tuple[float, float] | None, said: bool
+) -> None:
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k = 0.5 {bounds}"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    found = undetermined(model, {"k": ConstantRecord(0.5, 0.01, interval, 0.5, (0.5,), None)})
+    assert bool(found) is said
+    assert all("`k` is not determined" in text for text in found)
+
+
+def test_a_fit_says_that_its_constant_is_not_determined(tmp_path: Path) -> None:
+    """Noise hides all that these times tell of k, whose best value is 1."""
+    (tmp_path / "m.gb").write_text(TEXT)
+    noise = ((0.001, 0.1), (0.002, -0.1), (0.003, -0.1), (0.004, 0.1))
+    rows = "".join(f"{t},{1 - t + s}\n" for t, s in noise)
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    assert any("`k` is not determined" in warning for warning in fit.warnings), fit.warnings

@@ -50,6 +50,18 @@ def test_wrong_distributions_are_told(spread: float, noise: float, right: bool) 
     assert (found.p > 0.05) == right
 
 
+def test_solutions_that_blow_up_are_left_out_whatever_size_fixed_steps_give_them() -> None:
+    random = np.random.default_rng(4)
+    value, simulated = drawn(random, 1, 1.0, 0.5)[0], drawn(random, 200, 1.0, 0.5)
+    known = np.ones(len(value), dtype=bool)
+    failed = simulated.copy()
+    failed[:3, :] = np.nan
+    expected = prediction_errors(OWNER, value, failed, known)
+    for size in (1e20, 1e200):
+        failed[:3, :] = size * random.uniform(1, 2, failed[:3].shape)
+        assert prediction_errors(OWNER, value, failed, known) == pytest.approx(expected)
+
+
 def test_limits_and_solutions_that_fail_are_left_out() -> None:
     random = np.random.default_rng(3)
     value, simulated = drawn(random, 1, 1.0, 0.5)[0], drawn(random, 200, 1.0, 0.5)

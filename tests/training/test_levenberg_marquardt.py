@@ -17,6 +17,7 @@ from gbspec.training.optimise.levenberg_marquardt import (
     _Fit,
     _followed,
     _searched,
+    evidence,
 )
 from gbspec.training.optimise.normal_equations import NormalEquations
 
@@ -133,3 +134,17 @@ def test_the_ridge_of_the_evidence_depends_on_the_vector_alone() -> None:
     stage, theta = with_evidence(0.0)
     state = stage.begin(theta)
     assert stage.step(state, 0).state["ridge"] == stage.step(state, 5).state["ridge"] != state["ridge"]
+
+
+def test_the_ridge_of_vanishing_weights_is_finite() -> None:
+    """Where data show no function the evidence shrinks weights to nothing, by the inverse of their square."""
+    stage, theta = with_evidence(0.0)
+    fit, engine = fit_at(stage, theta), stage.engine_at(0)
+    nothing = theta.copy()
+    nothing[: engine.parameters.n_weights] *= 1e-160
+    ridge = 1e-3
+    for _ in range(400):
+        ridge, _ = evidence(engine.problem, fit.equations, fit.measured(fit.start), fit.delta, nothing, ridge, 0)
+    assert np.isfinite(ridge)
+    fit.equations.ridge = ridge
+    assert np.isfinite(fit.equations.step(1.0)).all()

@@ -40,6 +40,13 @@ def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive
     assert all(said in text and "`x`" in text and "postulate" in text for text in found)
 
 
+def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
+    (said,) = verdicts({"x": ChannelRecord(-0.1, 0.2, "the mean of each trajectory")}, model)
+    assert "unknown function" not in said and "network" not in said
+    assert "what may help" in said
+
+
 @pytest.mark.parametrize(
     ("correlation", "pairs", "r2", "said"),
     [
@@ -174,6 +181,22 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     text = f"{model.text}learn s_x : K/h^0.5 = 0.1 > 0\ndiffusion x = s_x\n"
     (said,) = autocorrelations(followed, model_of(text), {})
     assert "lacks more" in said
+
+
+def test_autocorrelated_residuals_of_a_population_are_not_said_to_widen_its_intervals() -> None:
+    """Its likelihood takes them for independent, and `diffusion` is not offered together with distributions."""
+    text = "model m\ntime t : h\nstate x : K = 1\nlearn k : 1/h = 1 > 0 per trajectory ~ lognormal\n"
+    model = model_of(text + "x' = -k*x\ninitial x = 1\nobserve x\n")
+    followed = {"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}
+    (said,) = autocorrelations(followed, model, {"x": 0.123})
+    assert "too narrow" in said and "times as wide" not in said
+    assert "`diffusion" not in said
+
+
+def test_the_start_of_a_disturbance_is_written_as_people_write_it() -> None:
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
+    (said,) = autocorrelations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}, model, {"x": 12.3})
+    assert "`learn s_x = 10 > 0`" in said
 
 
 def fitted(sd: float, r2: float, *stages: StageRecord) -> MemberResult:

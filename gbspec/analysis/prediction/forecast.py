@@ -237,7 +237,10 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         items=items,
         members=len(each),
         time=run.model.time.name,
-        warnings=(*_warnings(items, len(each) == 1 and known[0] is None), *_without_effect(items, window)),
+        warnings=(
+            *_warnings(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
+            *_without_effect(items, window),
+        ),
     )
 
 
@@ -247,13 +250,23 @@ def hidden_states(model: Model) -> tuple[int, ...]:
     return tuple(i for i, state in enumerate(model.states) if state.name not in named)
 
 
-def _warnings(items: Sequence[PredictedTrajectory], narrow: bool) -> list[str]:
+def _narrow(model: Model) -> str:
+    """What intervals lack where there is neither a covariance nor a spread of members."""
+    if model.marginal:  # members would start elsewhere and end at the same maximum of the likelihood
+        return (
+            "the intervals contain the noise and the uncertainty of what trajectories have of their own, but not that "
+            "of what they share, such as medians and spreads: they are rather too narrow"
+        )
+    return (
+        "the run has one member and no covariance, so that the intervals contain the noise and the uncertainty of "
+        "the initial state, but not that of the learned model: they are too narrow (`gbspec train --members 5`)"
+    )
+
+
+def _warnings(items: Sequence[PredictedTrajectory], narrow: str) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if narrow:
-        found.append(
-            "the run has one member and no covariance, so that the intervals contain the noise and the uncertainty of "
-            "the initial state, but not that of the learned model: they are too narrow (`gbspec train --members 5`)"
-        )
+        found.append(narrow)
     beyond = [item.label for item in items if any(item.outside)]
     if beyond:
         listed = ", ".join(f"`{label}`" for label in beyond[:5]) + (", ..." if len(beyond) > 5 else "")

@@ -107,16 +107,29 @@ class Branches:
             applications=tuple(replace(a, arguments=tuple(map(smooth, a.arguments))) for a in question.applications),
         )
 
-    def unreached(self, reached: Sequence[Choice], generic: Choice) -> Iterator[Choice]:
-        """For each argument or branch that no point has shown, and that the ranges do not exclude: such a choice."""
-        for k, atom in enumerate(self.atoms):
-            if isinstance(atom, _PIECES):
-                continue
-            shown = {choice[k] for choice in reached}
-            count = len(atom.args) if isinstance(atom, sympy.Piecewise | sympy.Max | sympy.Min) else 2
-            for other in set(range(count)) - shown:
-                if not self._excluded(atom, other):
-                    yield (*generic[:k], other, *generic[k + 1 :])
+    def unreached(self, reached: Sequence[Choice]) -> Iterator[Choice]:
+        """Choices with an argument or branch that no point has shown, and that the ranges do not exclude: each beside
+        what the points have shown of the others, then all that remain."""
+        missing = {k: self._not_shown(k, atom, reached) for k, atom in enumerate(self.atoms)}
+        further = {k: numbers for k, numbers in missing.items() if numbers}
+        single = [{k: number} for k, numbers in further.items() for number in numbers]
+        longest = max(map(len, further.values()), default=0)
+        several = [{k: numbers[i % len(numbers)] for k, numbers in further.items()} for i in range(longest)]
+        told: set[Choice] = set()
+        for changes in (*single, *several):
+            for choice in reached:
+                other = tuple(changes.get(k, number) for k, number in enumerate(choice))
+                if other not in told:
+                    yield other
+                told.add(other)
+
+    def _not_shown(self, k: int, atom: Expr, reached: Sequence[Choice]) -> list[int]:
+        """The arguments or branches of an atom that no point has shown and that the ranges do not exclude."""
+        if isinstance(atom, _PIECES):
+            return []
+        shown = {choice[k] for choice in reached}
+        count = len(atom.args) if isinstance(atom, sympy.Piecewise | sympy.Max | sympy.Min) else 2
+        return [other for other in range(count) if other not in shown and not self._excluded(atom, other)]
 
     def _excluded(self, atom: Expr, number: int) -> bool:
         """Whether the declared ranges prove that a branch is never taken (or, for equal arguments, need not be)."""

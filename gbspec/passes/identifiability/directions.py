@@ -39,6 +39,7 @@ class Directions:
 
     `basis` has as columns the changes of the sought constants without an observable effect; `systems` the expansions
     they were found with; `functions` the names of unknowns that can change unobserved with all constants known.
+    `own` are the constants of single trajectories that can change unobserved, with those functions or with each other.
     `doubtful` has further directions: nothing that data surely reach excludes them, but something that they may reach
     does, as a branch beyond what a known start shows.
     """
@@ -49,6 +50,7 @@ class Directions:
     functions: tuple[str, ...]
     order: int
     doubtful: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    own: tuple[str, ...] = ()
     tells: bool = True
     """Whether the expansions are long enough: else they say nothing of any constant."""
 
@@ -74,13 +76,13 @@ def find(question: Question, effort: Effort) -> Directions | None:
         found = None if large else at_order(question, order, effort, branches)
         if found is None:
             break
-        if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
+        if not found.basis.shape[1] and not found.functions and not found.own and not found.doubtful.shape[1]:
             return found
         if not found.tells:
             silent += 1
             continue
         past.append(found)
-        ranks = {(each.basis.shape[1], each.doubtful.shape[1], each.functions) for each in past[-needed:]}
+        ranks = {(e.basis.shape[1], e.doubtful.shape[1], e.functions, e.own) for e in past[-needed:]}
         if order > first and len(past) >= needed and len(ranks) == 1:
             return found
     return past[-1] if past and _explained(question, past[-1]) else None
@@ -88,7 +90,7 @@ def find(question: Question, effort: Effort) -> Directions | None:
 
 def _explained(question: Question, found: Directions) -> bool:
     """Whether exact symmetries span the directions."""
-    if found.functions or found.doubtful.shape[1]:
+    if found.functions or found.own or found.doubtful.shape[1]:
         return False
     constants = found.bases[0].constants
     sizes = np.array([abs(constants[k.symbol]) or 1.0 for k in question.sought])
@@ -125,7 +127,7 @@ def at_order(
             bases.append(base)
             systems.append(_scaled(system))
             equations.append(_reduced(system, scales))
-            if not _common_null(equations, count).shape[1] and (question.hidden or not _free_functions(systems)):
+            if not _common_null(equations, count).shape[1] and (question.hidden or not any(_loose(systems))):
                 break  # more points can only exclude more
         elif base.certain:
             return None
@@ -134,10 +136,11 @@ def at_order(
     certain = [each for each, system in zip(equations, systems, strict=True) if system.certain]
     unsure = [_thresholds(question), _faint(systems, scales)]
     sure, basis = _common_null(certain, count), _common_null([*equations, *unsure], count)
-    functions = _free_functions(systems) if not question.hidden else ()
+    functions, own = _loose(systems) if not question.hidden else ((), ())
     doubtful = _unscaled(_common_null([np.asarray(basis.T), _equations_of(sure)], count), scales)
     tells = _tells(systems)
-    return Directions(_unscaled(basis, scales), tuple(systems), tuple(bases), functions, order, doubtful, tells)
+    natural = _unscaled(basis, scales)
+    return Directions(natural, tuple(systems), tuple(bases), functions, order, doubtful, own, tells)
 
 
 def _equations_of(basis: Array) -> Array:
@@ -245,23 +248,21 @@ def _common_null(equations: Sequence[Array], count: int) -> Array:
     return np.asarray(right[rank:].T)
 
 
-def _free_functions(systems: Sequence[LinearSystem]) -> tuple[str, ...]:
-    """Unknowns whose value can change with constants, initial values and outputs fixed."""
-    moving: set[str] | None = None
-    for system in systems:
+def _loose(systems: Sequence[LinearSystem]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Unknowns whose value can change with shared constants, initial values and outputs fixed, and constants of single
+    trajectories that can: those that can at every point."""
+    functions, own = set[str](), set[str]()
+    for k, system in enumerate(systems):
         others = _compressed(system.matrix[:, system.constants :])
         if not others.shape[1]:
-            return ()
+            return (), ()
         _, values, right = np.linalg.svd(others, full_matrices=True)
         rank = int(np.sum(values > SMALL * values[0])) if values.size else 0
-        null = right[rank:]
-        names = {
-            germ.unknown
-            for germ in system.germs
-            if null.size and np.max(np.abs(null[:, germ.column - system.constants])) > 1e-5
-        }
-        moving = names if moving is None else moving & names
-    return tuple(sorted(moving or ()))
+        moves = np.max(np.abs(right[rank:]), axis=0, initial=0.0) > 1e-5
+        unknowns = {germ.unknown for germ in system.germs if moves[germ.column - system.constants]}
+        single = {name for name, column in system.own.items() if moves[column - system.constants]}
+        functions, own = (functions & unknowns, own & single) if k else (unknowns, single)
+    return tuple(sorted(functions)), tuple(sorted(own))
 
 
 def absorbers(directions: Directions, direction: Array) -> set[str]:

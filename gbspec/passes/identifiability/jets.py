@@ -255,14 +255,16 @@ class Jet:
         coefficients *= self._rng.choice([-1.0, 1.0], size=len(exponents))
         coefficients[0] = abs(coefficients[0])
         free = np.ones(len(exponents), dtype=bool)
-        for r, place in application.zeros:
-            if abs(base[r] - float(place)) < 1e-9:  # monomials without this argument vanish
+        given = np.zeros(len(exponents))
+        for r, place, value in application.known:
+            if abs(base[r] - float(place)) < 1e-9:  # monomials without this argument vanish, but for the value there
                 free &= np.array([exponent[r] > 0 for exponent in exponents])
+                given[0] = value
         column = self._columns.take(len(exponents))
         along = self._algebra.index.get((0, 1))
         spread = [0.0 if along is None else float(np.sqrt(np.mean(a[:, along] ** 2))) for a in arguments]
         widths = tuple(value if 0 < value < math.inf else 1.0 for value in spread)
-        germ = Germ(unknown, tuple(base), widths, exponents, coefficients * free, column, free)
+        germ = Germ(unknown, tuple(base), widths, exponents, coefficients * free + given, column, free)
         self.germs.append(germ)
         return germ
 

@@ -1,7 +1,7 @@
 """Base points at which a question is expanded: within the declared ranges, at least one for each branch that they show.
 
 A point has values of all variables (states, conditions, inputs, amounts of doses, time) and of the constants, which are
-the same at every point of one order. Points at zeros of unknowns, and points at which two applications of an unknown
+the same at every point of one order. Points at known values of unknowns, and points at which two applications of one
 have equal arguments, tie what would else be independent. Branches that no point of the ranges shows, and that the
 ranges do not exclude, get points that are not certain: they may raise a doubt about what others say, never decide.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import sympy
@@ -29,6 +30,9 @@ FEW = 16
 
 MOST_CHOICES = 10
 """The maximal number of combinations of branches that get a point of their own."""
+
+MOST_UNREACHED = 40
+"""The maximal number of combinations with branches that no point has shown."""
 
 MOST_TIES = 6
 """The maximal number of points at which applications agree or vanish."""
@@ -57,11 +61,12 @@ def bases_of(question: Question, branches: Branches, rng: np.random.Generator) -
         yield _base(question, drawn, 0, constants)
     else:
         generic = next(iter(first))
-    for choice in _kept(list(first)):
+    kept = _kept(list(first))
+    for choice in kept:
         yield _base(branches.resolved(choice), drawn, first[choice], constants)
     start = first.get(generic, 0)
     yield from _ties(question, branches, _base(question, drawn, start, constants))
-    for choice in branches.unreached(list(first), generic):
+    for choice in islice(branches.unreached(kept or [generic]), MOST_UNREACHED):
         yield _base(branches.resolved(choice), drawn, start, constants, certain=False)
     if question.signals and any(given is not None for given in question.starts):
         yield from _later(question, constants, rng)
@@ -222,10 +227,10 @@ def _base(
 
 
 def _ties(question: Question, branches: Branches, generic: Base) -> Iterator[Base]:
-    """Points at zeros of unknowns, and points at which two applications have equal arguments."""
+    """Points at known values of unknowns, and points at which two applications have equal arguments."""
     pairs: list[tuple[Sequence[Expr], Sequence[Expr]]] = []
     for application in question.applications:
-        pairs += [([application.arguments[r]], [place]) for r, place in application.zeros]
+        pairs += [([application.arguments[r]], [place]) for r, place, _ in application.known]
     for i, first in enumerate(question.applications):
         for second in question.applications[:i]:
             if first.unknown == second.unknown and len(pairs) < MOST_TIES:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir import NN, Expr, Learnable, Model, Unknown, symbol
+from gbspec.ir import NN, Condition, Expr, Learnable, Model, Range, Unknown, symbol
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,9 @@ class Application:
     unknown: str
     value: sympy.Dummy
     arguments: tuple[Expr, ...]
-    zeros: tuple[tuple[int, Expr], ...] = ()
-    """Known zeros of the network (contracts `zero at`): the index of an argument, and its value."""
+    known: tuple[tuple[int, Expr, float], ...] = ()
+    """Known values of the network (contracts `zero at`, `equals … at`): the index of an argument, its value, and that
+    of the network."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,8 @@ class Question:
 
     @cached_property
     def sought(self) -> tuple[Learnable, ...]:
-        """Learnables, one value for all trajectories, without those that have a prior."""
-        return tuple(
-            k for k in self.model.learnables if k.prior is None and not k.per_trajectory and k.symbol in self._used
-        )
+        """Learnables, one value for all trajectories, without those that have a prior; of a distribution its median."""
+        return tuple(k for k in self.model.learnables if k.prior is None and _shared(k) and k.symbol in self._used)
 
     @cached_property
     def _used(self) -> frozenset[sympy.Symbol]:
@@ -124,27 +123,58 @@ class Question:
         return [argument for a in self.applications for argument in a.arguments]
 
 
+def _shared(learnable: Learnable) -> bool:
+    """Whether a learnable is one number for all trajectories, or has a median that is."""
+    found = learnable.distribution
+    return not learnable.per_trajectory if found is None else found.kind != "standard"
+
+
+def _draws(model: Model) -> dict[Learnable, Condition]:
+    """What a distribution draws for each trajectory, as a condition, for each constant that differs so.
+
+    Data tell no more than if each trajectory's draw were known: what cannot be told apart then never can.
+    """
+    return {k: Condition(f"draw of {k.name}", range=Range(-2.0, 2.0)) for k in model.distributed}
+
+
+def _value(learnable: Learnable, draw: Expr) -> Expr:
+    """The value of a trajectory, by the median and a draw on the scale of the distribution."""
+    kind = learnable.distribution.kind if learnable.distribution is not None else "standard"
+    median, low, high = learnable.symbol, learnable.range.low, learnable.range.high
+    if kind == "logitnormal":
+        odds = (median - low) / (high - median) * sympy.exp(draw)
+        return low + (high - low) * odds / (1 + odds)
+    return {"lognormal": median * sympy.exp(draw), "normal": median + draw, "standard": draw}[kind]
+
+
 def pose(model: Model, *, all_states: bool) -> Question:
     """The question with all states measured and all initial values free, or as declared by `observe` and `initial`."""
     channels = [c.value for c in model.channels if c.state is None]
     added = [e for dose in model.doses for e in (dose.fraction, dose.lag)]
     expressions = model.inlined([*model.balances, *channels, *added])
-    table, applications = _applications(model, expressions)
-    opened = [e.xreplace(table) for e in expressions]
+    draws = _draws(model)
+    drawn = {k.symbol: _value(k, draw.symbol) for k, draw in draws.items()}
+    table, applications = _applications(model, expressions, drawn)
+    opened = [e.xreplace(table).xreplace(drawn) for e in expressions]
     n = len(model.states)
     measured = {c.state for c in model.channels if c.state is not None}
     known = frozenset(range(n)) if all_states else frozenset(measured)
-    starts = tuple(s.initial.value if s.initial.kind == "expression" and not all_states else None for s in model.states)
+    given = [s.initial.value if s.initial.kind == "expression" and not all_states else None for s in model.states]
+    starts = tuple(None if start is None else start.xreplace(drawn) for start in given)
     m = n + len(channels)
     doses = tuple(
         Arrival(model.state_index[dose.state], sympy.Dummy(f"dose_{dose.state}", real=True), fraction, lag)
         for dose, fraction, lag in zip(model.doses, opened[m::2], opened[m + 1 :: 2], strict=True)
     )
-    return Question(model, applications, tuple(opened[:n]), tuple(opened[n:m]), known, starts, doses)
+    whole = replace(model, conditions=(*model.conditions, *draws.values())) if draws else model
+    return Question(whole, applications, tuple(opened[:n]), tuple(opened[n:m]), known, starts, doses)
 
 
-def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr, Expr], tuple[Application, ...]]:
-    """Each distinct application, inner ones first, and its replacement: its postulate with a symbol for `nn`."""
+def _applications(
+    model: Model, expressions: Sequence[Expr], drawn: Mapping[Expr, Expr]
+) -> tuple[dict[Expr, Expr], tuple[Application, ...]]:
+    """Each distinct application, inner ones first, and its replacement: its postulate with a symbol for `nn`; in its
+    arguments distributed constants are replaced by what is `drawn`."""
     found: set[Expr] = set()
     for expression in expressions:
         found |= expression.atoms(AppliedUndef)
@@ -158,19 +188,20 @@ def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr,
         arguments = tuple(argument.xreplace(table) for argument in application.args)
         value = sympy.Dummy(f"nn_{name}", real=True)
         table[application] = unknown.postulate.xreplace({**dict(zip(formals, arguments, strict=True)), NN: value})
-        applications.append(Application(name, value, arguments, _zeros(unknown, model)))
+        own = tuple(argument.xreplace(drawn) for argument in arguments)
+        applications.append(Application(name, value, own, _known_values(unknown, model)))
     return table, tuple(applications)
 
 
-def _zeros(unknown: Unknown, model: Model) -> tuple[tuple[int, Expr], ...]:
-    """The zeros by the contracts `zero at` of an unknown without a postulate, if their places are known numbers."""
+def _known_values(unknown: Unknown, model: Model) -> tuple[tuple[int, Expr, float], ...]:
+    """The values by the contracts of an unknown without a postulate, where places and values are known numbers."""
     if unknown.postulate != NN:
         return ()
     names = [a.name for a in model.networks[unknown.network].arguments]
     known = {c.symbol: sympy.Float(c.value) for c in model.constants}
     places = [
-        (names.index(c.argument), c.value.xreplace(known))
+        (names.index(c.argument), c.value.xreplace(known), sympy.Float(0.0) if c.to is None else c.to.xreplace(known))
         for c in unknown.contracts
-        if c.kind == "zero" and c.argument is not None and c.value is not None
+        if c.kind in ("zero", "equals") and c.argument is not None and c.value is not None
     ]
-    return tuple((r, value) for r, value in places if value.is_number)
+    return tuple((r, place, float(value)) for r, place, value in places if place.is_number and value.is_number)

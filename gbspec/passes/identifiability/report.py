@@ -132,10 +132,16 @@ def _sets(question: Question, declared: Directions, everything: Directions | Non
         proofs = [s for s in known if set(s.constants) <= set(constants)]
         measured = everything is not None and _within(group, everything.basis)
         sets.append(Inseparable(constants, ordered, _proof(proofs, group.shape[1]), measured))
-    loose = [name for name in declared.functions if all(name not in s.unknowns for s in sets)]
-    if len(loose) > 1 and everything is not None and set(loose) <= set(everything.functions):
-        sets.append(Inseparable((), tuple(loose), "", True))
+    if everything is not None:
+        sets += _loose(declared, everything, {name for s in sets for name in s.names})
     return sets
+
+
+def _loose(declared: Directions, everything: Directions, told: set[str]) -> list[Inseparable]:
+    """Functions, and constants of single trajectories, that can change while all shared constants stay."""
+    functions = [name for name in declared.functions if name in everything.functions and name not in told]
+    own = [name for name in declared.own if name in everything.own and name not in told]
+    return [Inseparable(tuple(own), tuple(functions), "", True)] if len(functions) + len(own) > 1 else []
 
 
 def _free_states(question: Question, effort: Effort) -> list[Inseparable]:

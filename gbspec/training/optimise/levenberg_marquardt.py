@@ -27,6 +27,9 @@ DIFFERENCE, BEND = 0.1, 0.75
 """The fraction of a step used to estimate its curvature, and the largest correction relative to the step."""
 CORRECTIONS, WORTHWHILE = 8, 0.02
 """Largest number of corrections of a step, and the relative decrease of the objective that each must achieve."""
+LARGEST_RIDGE = 1e100
+"""Where data show no function the weights go to zero, and the ridge of the evidence with their inverse square: it is
+finite, since an infinite one times the zeros of what it does not concern is no number."""
 EVIDENCE_UPDATES = 6
 """How often the ridge is estimated again from one linearisation."""
 WEAK = 1e-2
@@ -408,5 +411,5 @@ def evidence(
         return ridge, 0.0
     unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
     effective = max(freedom - unpenalised, 1.0)
-    target = noise_variance(problem, residuals, delta, freedom) * effective / size
+    target = min(noise_variance(problem, residuals, delta, freedom) * effective / size, LARGEST_RIDGE)
     return target if ridge <= 0 else float(np.sqrt(ridge * target)), freedom

@@ -21,6 +21,10 @@ from gbspec.training.problem import Integers
 LEAST = 3
 """At least so many simulated sets for each value of a trajectory: their covariance is estimated from them."""
 
+BLOWN_UP = 1e6
+"""A simulated value so many median deviations from the median belongs to a solution that blows up: fixed steps give it
+a size of its own, as 1e200, which no covariance survives."""
+
 MANY = 5000
 """Beyond so many values the test of the form is that of D'Agostino and Pearson."""
 
@@ -64,7 +68,7 @@ def prediction_errors(owner: Integers, value: Array, simulated: Array, known: Ma
 
 def _of_one(value: Array, simulated: Array) -> Array:
     """The errors [n] of the values of one trajectory."""
-    found = simulated[np.isfinite(simulated).all(axis=1)]
+    found = _solved(simulated[np.isfinite(simulated).all(axis=1)])
     if len(found) < max(LEAST * len(value), 20):
         return np.full(len(value), np.nan)
     mean = found.mean(axis=0)
@@ -77,3 +81,12 @@ def _of_one(value: Array, simulated: Array) -> Array:
     below = (others < own[:, None]).mean(axis=1)
     edge = 1 / (2 * len(found))
     return np.asarray(ndtri(np.clip(below, edge, 1 - edge)), dtype=np.float64)
+
+
+def _solved(found: Array) -> Array:
+    """The simulated sets [K, n] without those of solutions that blow up."""
+    if not len(found):
+        return found
+    away = np.abs(found - np.median(found, axis=0))
+    size = np.median(away, axis=0)
+    return found[(away <= np.where(size > 0, BLOWN_UP * size, np.inf)).all(axis=1)]

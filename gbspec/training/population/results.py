@@ -1,9 +1,10 @@
 """What a population fit tells: likelihood, spreads with intervals, individual estimates, residuals, a predictive check.
 
 The covariance of estimates is the inverse of the expected information (`marginal`), with priors and ridge. Individual
-estimates are the modes; their standard deviations follow from the inverse of the inner Hessian. Shrinkage is one minus
-the standard deviation of the modes in units of the spread (Karlsson and Savic 2007). Conditional weighted residuals are
-those of the model linearised at the modes (Hooker, Staatz and Karlsson 2007): V^(-1/2) (y - f(z*) + F z*).
+estimates are the modes; their standard deviations follow from the inverse of the inner Hessian, and from the covariance
+of the parameters (`uncertainty`). Shrinkage is one minus the standard deviation of the modes in units of the spread
+(Karlsson and Savic 2007). Conditional weighted residuals are those of the model linearised at the modes (Hooker, Staatz
+and Karlsson 2007): V^(-1/2) (y - f(z*) + F z*).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared
 from gbspec.training.population.objective import Objective, Point
 from gbspec.training.population.predictions import Measured
+from gbspec.training.population.uncertainty import of_parameters
 from gbspec.training.problem import Integers
 
 QUANTILE = 1.645
@@ -90,8 +92,9 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         deviations = torch.cat([own, numbers[:, layout.effects :]], 1).numpy()
         correlation = (factor[0] @ factor[0].T).numpy() if layout.effects else np.zeros((0, 0))
     posterior = likelihood.groups.of_trajectories(np.linalg.inv(likelihood.expected_hessian(of).numpy()))
-    spread = np.sqrt(np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy()))
     count = len(weights)
+    given = np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy())
+    spread = np.sqrt(given + of_parameters(objective, point, weights, covariance[count:, count:]))
     used = effective_weights(covariance[:count, :count], ridge)
     return PopulationResult(
         point,

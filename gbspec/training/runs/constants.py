@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import combinations
 
 import numpy as np
@@ -25,6 +25,8 @@ NEGLIGIBLE = 0.3
 NEAR, CLEAR = 1e-5, 5.0
 """A constant closer to a bound than the fraction `NEAR` of its range is at the bound, unless it is `CLEAR` standard
 deviations away from it."""
+COVERED = 0.9
+"""An interval that covers this fraction of the bounds says no more than they do."""
 EXACT = 1e-20
 """Up to this mean loss, the data are fitted to rounding."""
 
@@ -137,3 +139,30 @@ def at_bounds(
             if scale.distance(value, bound) < NEAR and not abs(value - bound) > CLEAR * deviation:
                 out.append((learnable.name, bound))
     return out
+
+
+def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
+    """A warning for each constant whose interval covers its bounds: its value and its standard deviation, which holds
+    near the value alone, may seem to say more."""
+    out = []
+    for learnable in model.learnables:
+        record, bounds = constants.get(learnable.name), learnable.range
+        if record is None or record.interval is None or not bounds.bounded or bounds.low >= bounds.high:
+            continue
+        ends = np.array([*record.interval, bounds.low, bounds.high])
+        low, high, least, most = np.log(np.abs(ends)) if bounds.logarithmic else ends
+        if abs(high - low) >= COVERED * abs(most - least):
+            out.append(
+                f"`{learnable.name}` is not determined by these data: its 90 % interval, {record.interval[0]:.4g} to "
+                f"{record.interval[1]:.4g}, covers its bounds. Give it a value (`const`) or a prior if something is "
+                "known of it, or measure what it acts on"
+            )
+    return out
+
+
+def ended_at_bounds(ended: Iterable[tuple[int, str, float]]) -> list[str]:
+    """A warning for each constant of a member that ended at a bound."""
+    return [
+        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
+        for member, name, bound in ended
+    ]

@@ -42,8 +42,10 @@ from gbspec.training.runs.constants import (
     at_bounds,
     constant_record,
     correlations_of,
+    ended_at_bounds,
     moving_together,
     own_records,
+    undetermined,
 )
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
@@ -366,10 +368,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     )
     weighed = [r.scales for r in ordered if r.scales is not None]
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
-    bounds = [
-        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
-        for member, name, bound in ended
-    ]
+    bounds = ended_at_bounds(ended)
     constants = {k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables}
     together = moving_together(correlations, [name for name, each in constants.items() if each.certain])
     return replace(
@@ -377,7 +376,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         constants=constants,
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
-        warnings=(*warnings_of(results, options, model), *together, *bounds),
+        warnings=(*warnings_of(results, options, model), *together, *undetermined(model, constants), *bounds),
         correlations=correlations,
         objective=best.objective,
         population=best.population,
@@ -427,9 +426,9 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these trajectories do not count as fitted"
             )
-        left = _of_residuals(result, options, model)
+        left = [*verdicts(result.channels, model), *_of_residuals(result, options, model)]
         left += above_stated(result.noise, model) if model is not None else []
-        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
+        out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)

@@ -16,6 +16,9 @@ from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.summary import MemberResult
 
+VANISHED = 1e-3
+"""A spread of logarithms (of logits; relative to the start of a normal one) below this is none."""
+
 
 @dataclass(frozen=True)
 class Described:
@@ -59,12 +62,31 @@ def with_population(
         noise=_noise(context, found, objective),
     )
     tables = _tables(context, found, objective)
+    made_result.left += _vanished(objective, found)
     return made_result, Described(
         replace(_record(context, found, objective), npde=_errors(context, tables)),
         _objective(found, objective),
         tables,
         _info(objective, found),
     )
+
+
+def _vanished(objective: Objective, found: PopulationResult) -> list[str]:
+    """A warning for each learned spread that ended at zero."""
+    out = []
+    for learnable in objective.layout.distributed:
+        made = learnable.distribution
+        assert made is not None
+        columns = ("trajectory", *(level.column for level in made.levels))
+        size = (abs(learnable.start) or 1.0) if made.kind == "normal" else 1.0
+        out += [
+            f"the spread of `{learnable.name}` between values of `{column}` ended at zero: these data show no such "
+            "differences, and each has the median. Too few values of each, a wrong noise, or a model that lacks "
+            "something hide them as well"
+            for column, (name, _) in zip(columns, made.spreads, strict=True)
+            if name is not None and found.estimates.value[found.estimates.at(name)] < VANISHED * size
+        ]
+    return out
 
 
 def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecord]:

@@ -31,17 +31,22 @@ REMEDIES = (
     "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
     "`--members 5`, or another model"
 )
+REMEDIES_OF_KNOWN_FORMS = (
+    "do not rely on it for simulation; what may help: `--effort high`, narrower bounds or starting values nearer to "
+    "what is meant, `per trajectory` constants, another state, or another model"
+)
 
 
-def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
+def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) -> list[str]:
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse."""
+    remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     out = []
     for name, found in channels.items():
         if found.r2 is None or found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
             continue
         compared = "worse than" if found.r2 < found.naive else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
-        out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {REMEDIES}")
+        out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
 
 
@@ -71,8 +76,7 @@ def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: M
         found = channels.get(channel.name)
         if found is None or not found.outliers or found.r2 is None or 1 - found.r2 <= EXACT:
             continue
-        name, size = channel.name, rmse.get(channel.name, math.nan)
-        start = f"{0.3 * size:.1g}" if math.isfinite(size) and size > 0 else "0.1"
+        name, start = channel.name, _rounded(0.3 * rmse.get(channel.name, math.nan))
         out.append(
             f"{found.outliers} of {found.values} residuals of `{name}` are far from all others, and leave most of the "
             "sum of squares: they are outliers, or rows that the model does not follow. As outliers they move the fit "
@@ -100,15 +104,19 @@ def autocorrelations(
     if not found:
         return []
     listed, factor = _listed(found, channels), widening(channels)
-    effect = (
-        f"intervals are {factor:.2g} times as wide as if they were independent"
-        if factor > 1
-        else "the weights of the channels, and with them the intervals, take this into account"
-    )
+    if model is not None and model.marginal:
+        effect = f"{_OVERSTATED}, of what all trajectories share by up to the factor {factor:.2g}"
+    elif factor > 1:
+        effect = f"intervals are {factor:.2g} times as wide as if they were independent"
+    else:
+        effect = "the weights of the channels, and with them the intervals, take this into account"
     return [
         f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
         f"measurement. Each row tells less than a new one would: {effect}" + _offer(found, model, rmse or {})
     ]
+
+
+_OVERSTATED = "the likelihood takes them for independent nevertheless, so that its intervals are too narrow"
 
 
 def unrested(channels: Mapping[str, ChannelRecord], ended: str) -> list[str]:
@@ -133,6 +141,8 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
     """What a model with such residuals lacks: the statements of a disturbance, or more than those it has."""
     if model is None:
         return ""
+    if model.marginal:  # not offered together with `diffusion`
+        return ". What may help: further constants that differ between trajectories, or another model"
     if model.diffusions:
         return ". The model lacks more: another state, another `diffusion`, or an unknown function"
     channel = next((c for c in model.channels if c.name in found and c.state is not None), None)
@@ -140,12 +150,16 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
         return ". The statement `diffusion` describes random disturbances of states between measurements"
     state, time = model.states[channel.state], model.time.unit
     unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
-    size = rmse.get(channel.name, 0.0)
-    start = f"{size:.1g}" if math.isfinite(size) and size > 0 else "0.1"
+    start = _rounded(rmse.get(channel.name, 0.0))
     return (
         f". To describe disturbances of `{state.name}`, add the lines `learn s_{state.name}{unit} = {start} > 0` and "
         f"`diffusion {state.name} = s_{state.name}`"
     )
+
+
+def _rounded(size: float) -> str:
+    """A start of this size, as one writes it: 0.3, 10."""
+    return f"{float(f'{size:.1g}'):g}" if math.isfinite(size) and size > 0 else "0.1"
 
 
 def _following(channels: Mapping[str, ChannelRecord], explained: float = EXACT) -> list[str]:
