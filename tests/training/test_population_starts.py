@@ -55,3 +55,35 @@ def test_a_network_learns_to_depend_on_its_effect(tmp_path: Path) -> None:
     assert own is not None
     found = np.array([own[str(i + 1)].value for i in range(8)])
     assert abs(np.corrcoef(found, np.arange(8))[0, 1]) > 0.95
+
+
+GROWING = """model growing
+time t from 0
+condition diet in {"1", "2"}
+state w in [100, 800]
+learn w0 = 300 in [100, 700] per trajectory ~ lognormal
+learn K = 600 in [200, 2000] per diet
+learn r = 0.01 in [0.0001, 0.5]
+w' = r*w*(1 - w/K)
+initial w = w0
+observe w
+"""
+
+
+@pytest.mark.usefixtures("quick_fit")
+def test_a_pooled_search_that_ends_at_a_bound_is_not_the_only_start(tmp_path: Path) -> None:
+    """Animals of two diets differ in weight from the start: all with the same one, they look as if grown at once."""
+    random, times, found = np.random.default_rng(4), np.arange(1.0, 65.0, 9.0), []
+    start = np.concatenate([np.linspace(220, 280, 6), np.linspace(420, 500, 6)])[:, None]
+    values = 700 / (1 + (700 / start - 1) * np.exp(-0.004 * times)) + 3 * random.standard_normal((12, len(times)))
+    lines = ["trajectory,t,w,diet"]
+    lines += [f"{k + 1},{t},{values[k, i]:.3f},{1 + k // 6}" for k in range(12) for i, t in enumerate(times)]
+    for name, text in (("wide", GROWING), ("narrow", GROWING.replace("0.5]", "0.03]"))):
+        folder = tmp_path / name
+        folder.mkdir()
+        model = model_of(text, folder)
+        (folder / "d.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        run = train(model, tables.read_data(folder / "d.csv", model, Findings()), TrainOptions(), folder / "run")
+        assert run.fit.population is not None
+        found.append(run.fit.population.minus2ll)
+    assert abs(found[0] - found[1]) < 0.1

@@ -12,10 +12,11 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.diagnostics import ComputationError
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.population.likelihood import Likelihood
 from gbspec.training.population.objective import Objective, Point
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Bijection, Parameters
 
 Failure: TypeAlias = Callable[[Array], Exception]
 """The error to raise if the model cannot be solved at a vector."""
@@ -33,6 +34,8 @@ OFTEN = 5
 """With networks the modes are sought from several starts in every so many iterations."""
 TRIALS = 14
 """Damped steps that are tried in one iteration."""
+STUCK, ROUND = 1e-3, 10
+"""A constant closer to a bound than this part of the bounds' width is there; iterations from each start."""
 LONGEST = 0.7
 """No parameter moves further than this in one step: a factor of e^2."""
 
@@ -65,19 +68,74 @@ def modes_of(parameters: Parameters, likelihood: Likelihood, theta: Array) -> Ar
 
 
 class MarginalLikelihood:
-    """The stage. By quadrature it begins with the maximum of Laplace's method, from which few steps are left."""
+    """The stage. By quadrature it begins with the maximum of Laplace's method, from which few steps are left.
+
+    With `search` a start that is a search's result, and may be at bounds, is not the only one.
+    """
 
     def __init__(
-        self, name: str, total: int, parameters: Parameters, objective: Objective, ridge: float | None, failure: Failure
+        self,
+        name: str,
+        total: int,
+        parameters: Parameters,
+        objective: Objective,
+        ridge: float | None,
+        failure: Failure,
+        search: bool = False,
     ) -> None:
         self.name, self.total, self.parameters = name, total, parameters
-        self.whole, self.failure = objective, failure
+        self.whole, self.failure, self.search = objective, failure, search
         self.objective = objective.by_laplace()
         self.layout, self.likelihood = objective.layout, objective.marginal.likelihood
         # None: the ridge of greatest evidence.
         self.ridge = ridge
 
     def begin(self, theta: Array) -> State:
+        """The state at a vector. Where a search has put constants to their bounds, from which a logistic scale does not
+        lead away, that is one of several starts: these constants, or all, may begin as declared. What comes furthest in
+        a few iterations is gone on with."""
+        others = self._others(theta) if self.search else []
+        return self._furthest([self._begun(each) for each in (theta, *others)]) if others else self._begun(theta)
+
+    def _others(self, theta: Array) -> list[Array]:
+        """The vectors with declared values in place of those at bounds, and of all."""
+        layout, weights = self.layout, theta[: self.parameters.n_weights]
+        natural = layout.bijections.to_natural(torch.from_numpy(theta[layout.slice()])).numpy()
+        stuck = np.array(
+            [
+                any(Bijection.of(k).distance(value, bound) < STUCK for bound in (k.range.low, k.range.high))
+                for k, value in zip(layout.each, natural, strict=True)
+            ],
+            dtype=np.bool_,
+        )
+        if not stuck.any():
+            return []
+        declared = layout.bijections.from_natural(np.array([k.start for k in layout.each], dtype=np.float64))
+        none = np.zeros((self.likelihood.groups.count, self.likelihood.groups.size))
+        return [
+            vector_of(
+                self.parameters, self.likelihood, weights, np.where(instead, declared, theta[layout.slice()]), none
+            )
+            for instead in (stuck, np.ones_like(stuck))
+        ]
+
+    def _furthest(self, states: list[State]) -> State:
+        """The state with the smallest objective after some iterations from each."""
+        best, least = states[0], np.inf
+        for state in states:
+            try:
+                for iteration in range(ROUND):
+                    outcome = self.step(state, iteration)
+                    state = outcome.state
+                    if outcome.done:
+                        break
+            except ComputationError:
+                continue
+            if outcome.loss < least:
+                best, least = state, outcome.loss
+        return best
+
+    def _begun(self, theta: Array) -> State:
         """The state at a vector; the modes are found from its individual constants."""
         z = modes_of(self.parameters, self.likelihood, theta)
         first = 1.0 if self.ridge is None else self.ridge

@@ -164,7 +164,8 @@ class _Likelihoods:
             return explain_failure(context.problem(0.0, step_fraction(begun)), parameters, theta, name.value)
 
         ridge = _ridge(context)
-        return MarginalLikelihood(name.value, self._most, parameters, self._objective(*begun), ridge, failure)
+        objective, search = self._objective(*begun), name is StageName.MARGINAL and not parameters.n_weights
+        return MarginalLikelihood(name.value, self._most, parameters, objective, ridge, failure, search)
 
     def _at(self, objective: Objective, reached: Reached) -> Point:
         """The point that has been reached."""
