@@ -2,8 +2,9 @@
 
 A population has its marginal likelihood, by Laplace's method, with residuals at the modes; a model with `diffusion`
 that of the innovations of its filter, whose errors of one-step predictions are the residuals. Steps are halved until
-neither the likelihood nor its gradient changes by more than `ACCURACY`, relative to its size. Densities are those of
-measured values themselves, also under lognormal noise.
+neither the likelihood nor its gradient changes by more than `ACCURACY`, relative to its size; where they would have to
+be too short for a disturbed model, it is solved with the stiff solver, and smaller and smaller tolerances. Densities
+are those of measured values themselves, also under lognormal noise.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ from gbspec.training.stages import StageName
 
 HALVINGS, TENTHS = 7, 2
 """So often the step is halved at most; of disturbed models that are stiff the tolerance becomes a tenth."""
+COARSE = 1e-6
+"""A change above which the stiff solver is tried too."""
 LIMITS = {-1: "<", 1: ">", 0: ""}
 
 
 def evaluate_integral(model: Model, trajectories: Trajectories, given: Given) -> Evaluated:
     """The objective of a population or of a model with disturbances. Raises ComputationError without a solution."""
     best = _settled(model, trajectories, given, load_module(model), HALVINGS)
-    coarse = best is None or best.accuracy > ACCURACY
+    coarse = best is None or best.accuracy > COARSE
     if coarse and model.diffusions and linear_in_states(model) is None:
         stiff = _settled(model, trajectories, given, load_module(model, STIFF), TENTHS)
         best = min((one for one in (best, stiff) if one is not None), key=lambda one: one.accuracy, default=None)
