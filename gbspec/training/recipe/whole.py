@@ -26,10 +26,10 @@ ROUNDING = 1e-15
 """The same for whole solutions: where few rows tell of an unmeasured state, the error of its rates is thousands of
 times these residuals (two tanks: 3 % at a loss of 7e-11, 0.2 % at 3e-15)."""
 
-APART = 3.0
+APART = 10.0
 """Where intervals hold enough, whole solutions are fitted too if their loss is more than this many times that of
-intervals, and than what is enough: fits that end near that are left as they are, since an iteration more costs much and
-tells little."""
+intervals, and than what is enough. Errors of some tens of intervals that only add up make up such a factor; a fit of
+whole solutions then gained nothing (the reactor's constants became two to three times as wrong)."""
 
 
 def demanding(context: Context) -> bool:
