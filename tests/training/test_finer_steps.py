@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.data import Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines import Engine
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State
 from gbspec.training.recipe import finer, step_fraction
 from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.finer import FinerStep, LastFit, continuing, step_shows
+from gbspec.training.recipe.finer import FinerStep, continuing, step_shows
 from gbspec.training.recipe.planned import Reached
 from gbspec.training.runs.summary import only_at_its_step
 from gbspec.training.stages import StageName
@@ -196,47 +194,6 @@ def test_a_stage_that_continues_an_exact_fit_begins_with_the_damping_where_that_
     """Each larger one that is tried on the way costs as much as an iteration; that of a failed search is no guide."""
     assert continuing(LevenbergOptions(), Reached(np.zeros(1), damping=ended)).damping == begins
     assert continuing(LevenbergOptions(ridge=1e-6), Reached(np.zeros(1), damping=ended)).damping == finer.STEADY
-
-
-@pytest.mark.parametrize(
-    ("size", "final", "fitted"),
-    [
-        (1e-4, False, False),  # the error at half the step would be 1e-4/16, and shows at this one
-        (1e-4, True, True),  # no finer step is left
-        (1e-6, False, True),  # it no longer shows at this step
-        (0.05, False, True),  # so large that the fit here is a better beginning of the next
-    ],
-)
-def test_a_step_whose_error_shows_too_is_passed_over(
-    size: float, final: bool, fitted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A fit there is thrown away: what costs most of a fit of exact data is an iteration at a fine step."""
-    context = build_context(model_of(ABSORPTION), load_module(model_of(ABSORPTION)), SPARSE, TrainOptions(), 0)
-    parameters, taken = context.parameters({}), []
-
-    def table(engine: Engine, theta: Array) -> Array:
-        """Residuals whose error falls by 16 with each halving, and is `size` between half the step and a quarter."""
-        return np.full(
-            engine.problem.seen.shape, 16 / 15 * size * 16.0 ** (1 + np.log2(fractions[id(engine.problem.packed)]))
-        )
-
-    fractions = {id(context.packed(part)): part for part in (1.0, 0.5, 0.25, 0.125)}
-    monkeypatch.setattr(finer, "residual_table", table)
-    monkeypatch.setattr(finer, "astray", lambda engine, theta: np.zeros(1, dtype=bool))
-
-    def step(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
-        taken.append(iteration)
-        return Outcome(state, 0.0, True)
-
-    monkeypatch.setattr(LevenbergMarquardt, "step", step)
-    last = LastFit(parameters, 0.0, 0.0, lambda theta: LevenbergOptions(), False)
-    count = 1 if final else 2
-    planned = finer.finer_steps(context, count, lambda reached: last, "normal")[0]
-    theta = np.zeros(parameters.size)
-    stage = planned.make(Reached(theta))
-    outcome = stage.step(stage.begin(theta), 0)
-    assert (len(taken), outcome.done) == (int(fitted), True)
-    assert outcome.remark.startswith("largest step 1")
 
 
 BLOWS_UP = """

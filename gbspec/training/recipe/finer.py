@@ -31,10 +31,6 @@ SHOWS, LEAST_ERROR = 0.1, 1e-5
 """A step's error shows where it moves a solution by more than this share of the noise, or a constant by more than this
 many of its standard deviations, and where it is larger than this fraction of a channel's scale."""
 
-CLOSE = 0.01
-"""A step is passed over, if its error shows too, where that is below this fraction of a channel's scale: a fit there
-would be no better beginning of the one at half of it."""
-
 
 @dataclass(frozen=True)
 class LastFit:
@@ -102,15 +98,6 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
     return moved(now, theta, measured_only(now.problem, change)) > SHOWS
 
 
-def largest_change(now: Engine, half: Engine, theta: Array) -> float:
-    """The change of solutions by halving the step, as the largest root mean square of a channel."""
-    seen = now.problem.seen
-    with np.errstate(over="ignore", invalid="ignore"):
-        change = residual_table(now, theta) - residual_table(half, theta)
-        sizes = [np.sqrt(2 * mean_loss(change[seen[:, i], i])) for i in range(change.shape[1])]
-    return float(max(sizes, default=0.0)) if np.isfinite(sizes).all() else float("inf")
-
-
 def astray(engine: Engine, theta: Array) -> Mask:
     """The measured rows [R, C] at which solutions blow up, or are far outside of the range of a channel's data.
 
@@ -130,18 +117,13 @@ class FinerStep(LevenbergMarquardt):
     """Levenberg-Marquardt with a finer step, which it shows.
 
     Where solutions blow up at this step, or are far from the data, it begins from the vector that `elsewhere` finds.
-    `passed` tells whether a vector is better fitted at half of this step at once.
     """
 
     def __init__(
-        self,
-        of: LevenbergMarquardt,
-        remark: str,
-        elsewhere: Callable[[Array], Array] = lambda theta: theta,
-        passed: Callable[[Array], bool] = lambda theta: False,
+        self, of: LevenbergMarquardt, remark: str, elsewhere: Callable[[Array], Array] = lambda theta: theta
     ) -> None:
         super().__init__(of.name, of.total, of.engine_at, of.options)
-        self.remark, self.elsewhere, self.passed = remark, elsewhere, passed
+        self.remark, self.elsewhere = remark, elsewhere
 
     def begin(self, theta: Array) -> State:
         """The state of the optimiser. Raises ComputationError if solutions blow up at this step wherever it begins."""
@@ -154,28 +136,18 @@ class FinerStep(LevenbergMarquardt):
         return super().begin(theta)
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """One iteration, with the step in its remark; none is needed where residuals are small at this step too, or
-        where this step is passed over."""
+        """One iteration, with the step in its remark; none is needed where residuals are small at this step too."""
         if iteration == 0 and self.name == StageName.FINER:
             residuals = residual_vector(self.engine_at(0), state["theta"])
-            if self.close(state["theta"], residuals) or self.passed(state["theta"]):
+            if self.close(state["theta"], residuals):
                 return Outcome(state, mean_loss(residuals), True, remark=self.remark)
         outcome = super().step(state, iteration)
         return Outcome(outcome.state, outcome.loss, outcome.done, outcome.note, self.remark)
 
 
-def finer_steps(
-    context: Context, count: int, last: Callable[[Reached], LastFit | None], effort: Effort
-) -> list[Planned]:
-    """As many stages as the step may be halved, each of which continues the last fit at half its step."""
-    return [_finer_step(context, number, number == count, last, effort) for number in range(1, count + 1)]
-
-
-def _finer_step(
-    context: Context, number: int, final: bool, last: Callable[[Reached], LastFit | None], effort: Effort
-) -> Planned:
+def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit | None], effort: Effort) -> Planned:
     """Continues the last fit at half its step (adaptive: a tenth of its tolerance), where the error shows and the step
-    is not one that the user gave. `number` counts these stages, of which `final` is the last one."""
+    is not one that the user gave. `number` counts these stages."""
     most = most_iterations(StageName.FINER, effort)
 
     def make(reached: Reached) -> Stage:
@@ -197,22 +169,15 @@ def _finer_step(
             again = GrowingHorizons(context.finer(fraction), layout, [found], effort)
             return again.run(found) if astray(newton.engine_at(0), found).any() and again.horizons else found
 
-        def passed(theta: Array) -> bool:
-            """Whether the error shows at this step too, but is so small that the fit may go on at half of it."""
-            if final:
-                return False
-            now, half = (context.engine(layout, found.seen, part) for part in (fraction, fraction / 2))
-            small = largest_change(now, half, theta) <= CLOSE
-            return small and step_shows(now, half, theta, False, _least(context))
-
-        return FinerStep(newton, said, elsewhere, passed)
+        return FinerStep(newton, said, elsewhere)
 
     def why(reached: Reached) -> str:
         """Why a finer step is needed; empty if it is not."""
         found, size = last(reached), step_fraction(reached.begun)
         assert found is not None, "the fit before has begun"
         now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
-        if step_shows(now, half, reached.theta, found.constants, _least(context)):
+        least = LEAST_ADAPTIVE if context.adaptive else LEAST_ERROR
+        if step_shows(now, half, reached.theta, found.constants, least):
             return INEXACT
         return LIMITED if _near_limit(context, found.layout, reached.theta, size) else ""
 
@@ -223,10 +188,6 @@ def _finer_step(
         return list(reached.begun).count(StageName.FINER) == number - 1 and bool(why(reached))
 
     return Planned(StageName.FINER, most, make, possible=possible)
-
-
-def _least(context: Context) -> float:
-    return LEAST_ADAPTIVE if context.adaptive else LEAST_ERROR
 
 
 def _near_limit(context: Context, layout: Parameters, theta: Array, fraction: float) -> bool:

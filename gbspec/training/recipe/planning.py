@@ -17,7 +17,7 @@ from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage
-from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_steps
+from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.judging import FEW, NOISE, Judged, unmeasured
@@ -146,7 +146,10 @@ class _Planner:
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain, segments.discarded),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
             cut_steps(context, known, self.effort),
-            *finer_steps(context, HALVINGS[self.options.effort], known, self.effort),
+            *(
+                finer_step(context, number, known, self.effort)
+                for number in range(1, HALVINGS[self.options.effort] + 1)
+            ),
             *(
                 self._weights(plain, lambda reached: blend == 0.0 and not segments.alone(reached))
                 for _ in range(REWEIGHTINGS)
@@ -214,7 +217,10 @@ class _Planner:
         """What follows the last fit of networks: finer steps, and at effort high further iterations and finer steps."""
 
         def finer(effort: Effort) -> list[Planned]:
-            return finer_steps(self.context, NETWORK_HALVINGS[effort], self._last_of_networks, self.effort)
+            return [
+                finer_step(self.context, n, self._last_of_networks, self.effort)
+                for n in range(1, NETWORK_HALVINGS[effort] + 1)
+            ]
 
         def make(reached: Reached) -> Stage:
             found = self._last_of_networks(reached)
