@@ -187,6 +187,15 @@ def test_a_stage_that_continues_a_fit_begins_with_the_ridge_where_its_evidence_s
     assert continuing(replace(options, evidence=False), reached).ridge == 1e-6
 
 
+@pytest.mark.parametrize(("ended", "begins"), [(3e-5, 3e-5), (0.0, finer.STEADY), (1e9, finer.STEADY)])
+def test_a_stage_that_continues_an_exact_fit_begins_with_the_damping_where_that_ended(
+    ended: float, begins: float
+) -> None:
+    """Each larger one that is tried on the way costs as much as an iteration; that of a failed search is no guide."""
+    assert continuing(LevenbergOptions(), Reached(np.zeros(1), damping=ended)).damping == begins
+    assert continuing(LevenbergOptions(ridge=1e-6), Reached(np.zeros(1), damping=ended)).damping == finer.STEADY
+
+
 BLOWS_UP = """
 model blows_up
 time t

@@ -26,7 +26,7 @@ from gbspec.training.recipe.planned import At, Decision, Planned, Reached, alway
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
-from gbspec.training.recipe.whole import ENOUGH, ROUNDING, whole_of_exact_data
+from gbspec.training.recipe.whole import ENOUGH, ROUNDING, demanding, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -169,7 +169,7 @@ class _Planner:
         """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
         marks = reached.marks
         if StageName.WHOLE in marks:
-            return LastFit(self._layout(reached), 0.0, 0.0, self._to_rounding, self.values < FEW)
+            return LastFit(self._layout_of_whole(reached), 0.0, 0.0, self._whole, self.values < FEW)
         if StageName.AS_ASKED in marks:
             return LastFit(self.parameters, self.blend, self.blend, self._regular, True)
         if StageName.AUTOREGRESSIVE in marks:
@@ -209,7 +209,7 @@ class _Planner:
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit()),
             *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
-            whole_of_exact_data(self.context, self._layout, self.effort, self._to_rounding, self.judged.exact),
+            whole_of_exact_data(self.context, self._layout_of_whole, self.effort, self._whole, self.judged.exact),
             *self._continued(),
         ]
 
@@ -281,6 +281,11 @@ class _Planner:
         moved = reached.theta[(self.released.free > 0) & (self.parameters.free == 0)].any()
         return self.released if fitted or moved else self.parameters
 
+    def _layout_of_whole(self, reached: Reached) -> Parameters:
+        """The layout of whole solutions of exact data. Initial states are free where all states are measured: the last
+        digits of measured ones would be made up for by the functions, which became worse (up to ninefold)."""
+        return self._layout(reached) if demanding(self.context) else self.released
+
     def _clean(self, reached: Reached) -> bool:
         return self.options.half_step and StageName.HORIZONS not in reached.marks and not self.judged.noisy(reached)
 
@@ -308,9 +313,9 @@ class _Planner:
         """The same options, with the damping for a vector that an earlier stage has improved."""
         return replace(self._prior(theta), damping=STEADY, enough=self.enough)
 
-    def _to_rounding(self, theta: Array) -> LevenbergOptions:
+    def _whole(self, theta: Array) -> LevenbergOptions:
         """The same for whole solutions of exact data."""
-        return replace(self._close(theta), enough=ROUNDING)
+        return replace(self._close(theta), enough=ROUNDING if demanding(self.context) else self.enough)
 
     def _above_step_error(self, theta: Array, residuals: Array) -> float:
         """The mean loss at which the whole step ends: a smaller loss would only fit the step's discretisation error."""

@@ -169,15 +169,15 @@ class _Runner:
         position = self.position
         begun, weights = [stage.name for stage in position.stages], self.context.estimated
         if position.iteration == 0:
-            if not planned.due(Reached(position.theta, position.marks, begun, position.ridge)):
+            if not planned.due(self._reached(position.theta, begun)):
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
                 if self.context.options.named_stages and planned.name not in begun and note not in position.notes:
                     position.notes.append(note)
                 return False
             position.entry = position.theta
             if planned.weigh is not None:
-                self._weigh(planned.weigh(Reached(position.theta, position.marks, begun, position.ridge)))
-        stage = planned.make(Reached(position.entry, position.marks, begun, position.ridge))
+                self._weigh(planned.weigh(self._reached(position.theta, begun)))
+        stage = planned.make(self._reached(position.entry, begun))
         try:
             if position.iteration == 0:
                 position.state = stage.begin(position.theta)
@@ -194,6 +194,10 @@ class _Runner:
         position.marks[planned.name] = position.theta
         self._take_certainty(stage)
         return True
+
+    def _reached(self, theta: Array, begun: list[str]) -> Reached:
+        position = self.position
+        return Reached(theta, position.marks, begun, position.ridge, position.damping)
 
     def _after_failure(self, planned: Planned, error: ComputationError) -> str:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
@@ -250,6 +254,7 @@ class _Runner:
         position = self.position
         position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
         position.ridge = float(outcome.state.get("ridge", np.array(position.ridge)))
+        position.damping = float(outcome.state.get("damping", np.array(position.damping)))
         position.iteration += 1
         if isinstance(stage, InnovationsFit):
             self.context.estimated = position.estimated = stage.estimated(position.state)
@@ -410,7 +415,7 @@ class _Runner:
         arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
-        arrays["ridge"] = np.array(position.ridge)
+        arrays |= {"ridge": np.array(position.ridge), "damping": np.array(position.damping)}
         if position.estimated is not None:
             arrays |= {"noise": position.estimated.noise, "share": position.estimated.share}
         remarks = Remarks(

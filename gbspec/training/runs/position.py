@@ -23,7 +23,7 @@ class Position:
     holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
     belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
     number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
-    weighed, if they are; `ridge` that of the last stage that had any.
+    weighed, if they are; `ridge` and `damping` are those of the last stage that had any.
     """
 
     stage: int = 0
@@ -44,6 +44,7 @@ class Position:
     finished: bool = False
     estimated: Estimated | None = None
     ridge: float = 0.0
+    damping: float = 0.0
 
 
 def checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
@@ -98,5 +99,6 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
         finished=remarks.finished,
         ridge=float(arrays.get("ridge", np.array(0.0))),
+        damping=float(arrays.get("damping", np.array(0.0))),
         estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
     )
