@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import Model
 from gbspec.operations import analysing, fitting, models
-from gbspec.runs import Run, open_run
+from gbspec.runs import Run, files, open_run
 from gbspec.training import TrainOptions, filter_run, train
 from gbspec.training.engines import whiteness
 
@@ -80,27 +80,46 @@ def test_drift_disturbance_and_noise_are_found_with_intervals(fitted: tuple[Run,
     assert likelihood.whiteness["X"].values == 120
 
 
+class Stop:
+    """Interrupts the fourth iteration."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def update(self, update: object) -> None:
+        self.count += 1
+        if self.count == 4:
+            raise KeyboardInterrupt
+
+    def message(self, text: str) -> None:
+        pass
+
+
 def test_the_same_seed_gives_the_same_fit_and_an_interrupted_one_goes_on(
     fitted: tuple[Run, Trajectories], tmp_path: Path
 ) -> None:
     run, data = fitted
-
-    class Stop:
-        count = 0
-
-        def update(self, update: object) -> None:
-            Stop.count += 1
-            if Stop.count == 4:
-                raise KeyboardInterrupt
-
-        def message(self, text: str) -> None:
-            pass
-
     with pytest.raises(KeyboardInterrupt):
         train(run.model, data, FAST, tmp_path / "again", Stop())
 
     resumed = train(run.model, data, replace(FAST, resume=True), tmp_path / "again")
     assert {k: v.value for k, v in resumed.fit.constants.items()} == {k: v.value for k, v in run.fit.constants.items()}
+
+
+def test_a_stage_of_an_earlier_edition_begins_again_where_it_was(
+    fitted: tuple[Run, Trajectories], tmp_path: Path
+) -> None:
+    run, data = fitted
+    with pytest.raises(KeyboardInterrupt):
+        train(run.model, data, FAST, tmp_path / "again", Stop())
+    path = tmp_path / "again" / "members" / "0" / "checkpoint.safetensors"
+    arrays, remarks = files.read_tensors(path)
+    for name in ("edition", "state.slope", "state.shown"):
+        del arrays[name]
+    files.write_tensors(path, arrays, remarks)
+    resumed = train(run.model, data, replace(FAST, resume=True), tmp_path / "again")
+    for name in ("theta", "mu", "s"):
+        assert resumed.fit.constants[name].value == pytest.approx(run.fit.constants[name].value, rel=1e-2)
 
 
 def test_validation_has_errors_one_ten_and_all_rows_ahead(fitted: tuple[Run, Trajectories]) -> None:

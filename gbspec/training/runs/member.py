@@ -37,7 +37,7 @@ from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.populations import with_population
-from gbspec.training.runs.position import Position, checkpoint, restored
+from gbspec.training.runs.position import EDITION, Position, checkpoint, restored
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
@@ -182,6 +182,8 @@ class _Runner:
             if position.iteration == 0:
                 position.state = stage.begin(position.theta)
                 position.stages.append(StageRecord(stage.name, 0, None, 0.0))
+            elif not position.state:
+                position.state = stage.begin(position.theta)
             self.context.cutting = self.context.cutting or planned.name is StageName.CUT
             self._take_steps(stage, stop)
         except ComputationError as error:
@@ -415,7 +417,11 @@ class _Runner:
         arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
-        arrays |= {"ridge": np.array(position.ridge), "damping": np.array(position.damping)}
+        arrays |= {
+            "edition": np.array(float(EDITION)),
+            "ridge": np.array(position.ridge),
+            "damping": np.array(position.damping),
+        }
         if position.estimated is not None:
             arrays |= {"noise": position.estimated.noise, "share": position.estimated.share}
         remarks = Remarks(

@@ -14,6 +14,9 @@ from gbspec.runs import JsonError, StageRecord, decode, files
 from gbspec.training.optimise import Certainty, State
 from gbspec.training.runs.remarks import Remarks
 
+EDITION = 2
+"""The edition of the stages' states. A stage in a checkpoint of an earlier one begins again at the vector it had."""
+
 
 @dataclass
 class Position:
@@ -73,10 +76,11 @@ def _damaged(directory: Path, message: str) -> UserError:
 
 def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
     """The position stored in a checkpoint."""
+    state = {name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")}
     return Position(
         stage=remarks.stage,
         iteration=remarks.iteration,
-        state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
+        state=state if float(arrays.get("edition", np.array(1.0))) == EDITION else {},
         entry=arrays["entry"],
         certainty=Certainty(
             arrays["deviations"],
