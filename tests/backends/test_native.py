@@ -252,7 +252,7 @@ def test_memory_does_not_grow_with_the_length(
     short = Kernel(problem.model)
     assert short.work_bytes(problem.packed.depth) < kernel.work_bytes(problem.packed.depth)
     expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, short))
-    assert found[0] == expected[0]
+    assert found[0] == pytest.approx(expected[0], rel=1e-14)  # sums of other lengths are contracted otherwise
     assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())
 
 
