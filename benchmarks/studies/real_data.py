@@ -36,7 +36,7 @@ DISTURBED_CHEMOSTAT = {
     "observe algae\nobserve rotifers": "learn sa = 0.1 in [0, 2]\nlearn sr = 0.1 in [0, 2]\nlearn se = 0.1 in [0, 2]\n"
     "diffusion algae = sa*algae\ndiffusion rotifers = sr*rotifers\ndiffusion edible = se*edible*(1 - edible)\n"
     "observe algae noise lognormal(0.1)\nobserve rotifers noise lognormal(0.1)",
-    "initial algae learn\ninitial rotifers learn\n": "initial edible learn\n",
+    "initial algae learn\ninitial rotifers learn\n\n": "",
 }
 
 

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from gbspec.arrays import Array
+from gbspec.data import read
+from gbspec.diagnostics import ComputationError, Findings
+from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Explicit
+from gbspec.training import TrainOptions, train
 from gbspec.training.engines import FilterEngine
 from gbspec.training.engines.filter.explicit import explicit_step
 from gbspec.training.engines.filter.sigma import Rates, Varied
@@ -50,3 +54,18 @@ def test_vectors_without_a_solution_are_no_starts(
     assert len(state["waiting"]) == waiting
     first = np.concatenate([state["theta"], state["log_sd"]])
     assert np.array_equal(first, tried[min(finite, default=0)])
+
+
+def test_a_start_whose_spread_diverges_is_told_with_its_remedy(tmp_path: Path) -> None:
+    """The share p stays in [0, 1], but its start's distribution does not, and the balance grows without bound there."""
+    text = (
+        "model m\ntime t\nstate x in [0, 5] = 1\nstate p in [0, 1] = 0.7\nlearn k = 4 in [3, 5]\n"
+        "learn s = 0.2 in [0, 2]\nx' = p - x\np' = k*p*(p - 1)*(0.5 - p)\ndiffusion x = s\nobserve x\n"
+    )
+    (tmp_path / "m.gb").write_text(text, encoding="utf-8")
+    rows = "\n".join(f"{t},{0.6 + 0.1 * (-1) ** t}" for t in range(30, 40))
+    (tmp_path / "d.csv").write_text(f"t,x\n0,\n{rows}\n", encoding="utf-8")
+    model = load_model(tmp_path / "m.gb", Findings())
+    with pytest.raises(ComputationError) as caught:
+        train(model, read(tmp_path / "d.csv", model, Findings()), TrainOptions(effort="low"), tmp_path / "run")
+    assert "`initial p learn`" in caught.value.remedy

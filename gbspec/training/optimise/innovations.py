@@ -23,7 +23,7 @@ from gbspec.training.optimise.levenberg_marquardt import Certainty
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.restricted import Restricted, sizes, slope
 from gbspec.training.optimise.stage import Outcome, State, scalar
-from gbspec.training.problem import Integers
+from gbspec.training.problem import Integers, measured_states
 
 ATTEMPTS = 12
 """Number of dampings tried in one iteration before the stage ends."""
@@ -334,12 +334,18 @@ class InnovationsFit:
         fixed = engine.tolerance is None and engine.exact is None
         steps = "a smaller `--max-step`, `--solver ros34pw2` (for stiff equations), " if fixed else ""
         values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(engine.problem.model.states, x, strict=True))
+        seen = measured_states(engine.problem.model, packed)[1].any(axis=0)
+        spread = np.logical_and((engine.start_variance > 0).any(axis=0), ~seen)
+        names = [state.name for state, wide in zip(engine.problem.model.states, spread.tolist(), strict=True) if wide]
+        learned = (
+            f"; `initial {names[0]} learn` takes the spread from its start, which nothing measures" if names else ""
+        )
         return ComputationError(
             f"the filter's moments are not finite in stage `{self.name}`",
             where=f"trajectory `{packed.labels[owner]}` at {engine.problem.model.time.name} = {time:.6g}, "
             f"where {values}",
             remedy=f"try {steps}bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range and a start for "
-            "each state (`state x in [0, 1] = 0.5`)",
+            f"each state (`state x in [0, 1] = 0.5`){learned}",
         )
 
     # ---------------------------------------------------------------- what is known at the end
