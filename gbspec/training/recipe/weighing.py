@@ -37,6 +37,9 @@ NOTICED, SETTLED = 0.25, 0.1
 while it changes by more than `SETTLED`."""
 LEAST_LEFT = 0.25
 """The least share of a channel's values that is taken to be left by a fit."""
+TOLD = 25
+"""At least so many values count, if there are so many: the correlation of the residuals of fewer is known to 0.2 at
+best, and a channel that counts too little is followed even less, so that they become more correlated."""
 OUTLYING = 4.0
 """Residuals beyond this many robust standard deviations do not count in full."""
 MAD_TO_SD = 1.4826
@@ -170,7 +173,7 @@ def share_of(residuals: Array, owner: Integers) -> float:
     correlation, pairs = autocorrelation_of(residuals, owner)
     if correlation is None or pairs < 2 or correlation <= 2 / np.sqrt(pairs):
         return 1.0
-    return share_that_counts(correlation, pairs)
+    return max(share_that_counts(correlation, pairs), min(TOLD / len(residuals), 1.0))
 
 
 def _used(engine: Engine, theta: Array, ridge: float) -> Array:
