@@ -15,7 +15,7 @@ import sympy
 from gbspec.ir import NN, Contract, Expr, Network, Unknown
 from gbspec.passes.intervals import REAL, Interval
 from gbspec.passes.monotone import monotone
-from gbspec.passes.shapes import Refused, Shapes, of_correction, shapes, shown
+from gbspec.passes.shapes import SIGNS, WORDS, Refused, Shapes, of_correction, shapes, shown
 from gbspec.passes.signs import Prover
 
 NONNEGATIVE = Interval(0.0, REAL.high, False, True)
@@ -146,7 +146,9 @@ class _Translation:
             lower = None if sign is None else sympy.S.Zero
             notes = () if sign is None else ("`nn` is kept positive",)
             beyond = of_correction(self.unknown, self.symbols, self.value.shapes, domain)
-            return Requirements(Wanted(lower, None, self._zeros(), replace(beyond, directions=directions)), None, notes)
+            asked = replace(beyond, directions=directions)
+            self._possible(asked)
+            return Requirements(Wanted(lower, None, self._zeros(), asked), None, notes)
         if self.value.shapes.beyond or self.value.values:
             raise Refused(
                 "GB607",
@@ -158,6 +160,26 @@ class _Translation:
         if not self.value.bounded:
             self._directions(self.prover.with_box({NN: NONNEGATIVE if self.unknown.neutral > 0 else REAL}))
         return self._linked()
+
+    def _possible(self, asked: Shapes) -> None:
+        """Refuses shapes of `nn` in one argument that only constants, or lines, have: the mean of the values on both
+        sides, which is even, does not increase where each of these does."""
+        for i, parity in asked.parities.items():
+            group, words = ("directions", "constants") if parity > 0 else ("curvatures", "straight lines")
+            way = getattr(asked, group).get(i)
+            if way is None:
+                continue
+            name = self.symbols[i].name
+            kinds = (*WORDS[group], *WORDS["parities"])
+            pair = [c for c in self.unknown.contracts if c.argument == name and c.kind in kinds]
+            both = f"{'even' if parity > 0 else 'odd'} and {next(k for k in WORDS[group] if SIGNS[k] == way)}"
+            raise Refused(
+                "GB605",
+                f"{' and '.join(f'`{c.kind} in {name}`' for c in pair)} cannot be kept together by the postulate"
+                f" `{shown(self.postulate)}`: for both `nn` would have to be {both}, which only {words} are",
+                pair,
+                f"leave out one of them, or the postulate, or the argument `{name}` of the network",
+            )
 
     def _bounds_hold(self, prover: Prover) -> bool:
         """Whether the postulate satisfies the bounds for every `nn` in its domain."""
