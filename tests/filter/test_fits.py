@@ -114,7 +114,7 @@ def test_a_stage_of_an_earlier_edition_begins_again_where_it_was(
         train(run.model, data, FAST, tmp_path / "again", Stop())
     path = tmp_path / "again" / "members" / "0" / "checkpoint.safetensors"
     arrays, remarks = files.read_tensors(path)
-    for name in ("edition", "state.slope", "state.shown"):
+    for name in ("edition", "state.slope", "state.pinned"):
         del arrays[name]
     files.write_tensors(path, arrays, remarks)
     resumed = train(run.model, data, replace(FAST, resume=True), tmp_path / "again")

@@ -43,6 +43,8 @@ SCALES = ((1.0, 0.0), (0.1, -2.0))
 PINNED, LAST = 100.0, 0.2
 """The precision of weights with which functions are constants unless the data insist: that of the fit with which the
 one with functions is compared. The share of the iterations that is left for it."""
+CONSTANT = "constant."
+"""What the entries of its state begin with."""
 STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
 MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov", "shares")
@@ -102,8 +104,6 @@ class InnovationsFit:
             "waiting": np.array([starts[i] for i in order[1:]]).reshape(-1, len(starts[0])),
             "best": np.zeros(0),
             "best_value": np.array(np.inf),
-            "shown": np.zeros(0),
-            "shown_ridge": np.array(0.0),
             "left": np.array(float(ROUND if len(order) > 1 else self.total)),
         }
 
@@ -121,6 +121,7 @@ class InnovationsFit:
             "ridge": np.array(ridge if len(weights) else 0.0),
             "small": np.array(0.0),
             "settled": np.array(0.0),
+            "pinned": np.array(0.0),
             **_stored(Restricted.none(self.engine.layout.size)),
             **dict.fromkeys(MOMENTS, np.zeros((0, 0))),
         }
@@ -146,11 +147,13 @@ class InnovationsFit:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration; after `ROUND` of them the next vector, and after the last one the best goes on."""
+        if f"{CONSTANT}theta" in state:
+            return self._compared(state, iteration)
         outcome = self._iteration(state, iteration)
         left = scalar(state, "left") - 1
         new = {**state, **outcome.state, "left": np.array(left)}
         if not len(state["waiting"]) and not len(state["best"]):
-            return self._compared(new, outcome, iteration)
+            return self._rested(new, outcome, iteration)
         if left > 0 and not outcome.done:
             return Outcome(new, outcome.loss, False)
         vector = np.concatenate([new["theta"], new["log_sd"]])
@@ -163,30 +166,32 @@ class InnovationsFit:
         new |= {**self._begun(new["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
         return Outcome(new, scalar(new, "best_value"), False)
 
-    def _compared(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
-        """An iteration of the best start. Where the fit with unknown functions rests, one follows in which these are
-        constants, and of both the one with the smaller criterion is kept."""
+    def _rested(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
+        """An iteration of the best start. Where the fit with unknown functions rests, one in which these are constants
+        follows, whose state is kept beside that of the fit."""
         weights = self.engine.parameters.n_weights
         if self.precision is not None or not weights:
             return Outcome(state, outcome.loss, outcome.done)
-        vector, shown = np.concatenate([state["theta"], state["log_sd"]]), state["shown"]
-        if not len(shown):
-            if not outcome.done and iteration + 1 < (1 - LAST) * self.total:
-                return Outcome(state, outcome.loss, False)
-            kept = {"shown": vector, "shown_ridge": state["ridge"]}
-            begin = vector.copy()
-            begin[:weights] = 0.0
-            return Outcome({**state, **self._begun(begin), **kept, "ridge": np.array(PINNED)}, outcome.loss, False)
-        if not outcome.done and iteration + 1 < self.total:
+        if not outcome.done and iteration + 1 < (1 - LAST) * self.total:
             return Outcome(state, outcome.loss, False)
-        count, ridge = max(int(self.engine.problem.seen.sum()), 1), scalar(state, "shown_ridge")
-        if self._criterion(shown, ridge) < self._criterion(vector, PINNED):
-            theta, log_sd = self.engine.layout.split(shown)
-            state = {**state, "theta": theta, "log_sd": log_sd, "ridge": np.array(ridge)}
-            state |= dict.fromkeys(MOMENTS, np.zeros((0, 0)))
-            outcome = Outcome(state, self.engine.value(shown) / count, True)
-        constant = scalar(state, "ridge") >= PINNED
-        return Outcome(state, outcome.loss, True, self._constant() if constant else "")
+        begin = np.concatenate([state["theta"], state["log_sd"]])
+        begin[:weights] = 0.0
+        constant = {**self._begun(begin), "ridge": np.array(PINNED), "pinned": np.array(1.0)}
+        return Outcome({**state, **_prefixed(constant)}, outcome.loss, False)
+
+    def _compared(self, state: State, iteration: int) -> Outcome:
+        """An iteration of the fit with constant functions; at its end the fit with the smaller criterion is kept."""
+        constant = {name.removeprefix(CONSTANT): value for name, value in state.items() if name.startswith(CONSTANT)}
+        outcome = self._iteration(constant, iteration)
+        constant |= outcome.state
+        if not outcome.done and iteration + 1 < self.total:
+            return Outcome({**state, **_prefixed(constant)}, outcome.loss, False)
+        kept = {name: value for name, value in state.items() if not name.startswith(CONSTANT)}
+        if not self._criterion(kept) < self._criterion(constant):
+            kept |= constant
+        count, vector = max(int(self.engine.problem.seen.sum()), 1), np.concatenate([kept["theta"], kept["log_sd"]])
+        said = self._constant() if scalar(kept, "ridge") >= PINNED else ""
+        return Outcome(kept, self.engine.filtered(vector, guess=_moments(kept)).value / count, True, said)
 
     def _constant(self) -> str:
         """What is said where functions are constant."""
@@ -196,10 +201,11 @@ class InnovationsFit:
             "as good; only longer or further trajectories can show more"
         )
 
-    def _criterion(self, vector: Array, ridge: float) -> float:
+    def _criterion(self, state: State) -> float:
         """Hurvich, Simonoff and Tsai's information criterion with the effective number of entries; infinite where there
         are more of these than values."""
-        system = self._system(vector, ridge)
+        vector = np.concatenate([state["theta"], state["log_sd"]])
+        system = self._system(vector, scalar(state, "ridge"), _moments(state))
         if not system.found.finite:
             return float("inf")
         information = self.engine.information(vector, system.found).matrix
@@ -230,7 +236,7 @@ class InnovationsFit:
             # The likelihood rests; the restricted one is yet to be maximised.
             return Outcome(state | {"settled": np.array(1.0)}, system.found.value / count, settled > 0)
         theta, log_sd = engine.layout.split(trial)
-        estimated = self.precision is None and engine.parameters.n_weights and not len(state["shown"])
+        estimated = self.precision is None and engine.parameters.n_weights and not scalar(state, "pinned")
         if estimated and gain < SETTLED:
             ridge = self._evidence(system, trial, ridge)
         rests = settled > 0 and min(gain, predicted) < SMALL * max(1.0, 1e-3 * abs(system.value - gain))
@@ -381,6 +387,11 @@ class InnovationsFit:
         freedom = float(np.sum(known & (engine.layout.free > 0)))
         deviations = np.where(known[places], np.abs(slopes) * sd[places], np.nan)
         return Certainty(deviations, block / np.outer(roots, roots), freedom, own)
+
+
+def _prefixed(state: State) -> State:
+    """The state of the fit with constant functions as it is kept beside that of the fit."""
+    return {f"{CONSTANT}{name}": value for name, value in state.items()}
 
 
 def _stored(term: Restricted) -> State:
