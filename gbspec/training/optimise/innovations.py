@@ -21,7 +21,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.levenberg_marquardt import Certainty
 from gbspec.training.optimise.priors import Priors
-from gbspec.training.optimise.restricted import Restricted, sizes, slope
+from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
 from gbspec.training.optimise.stage import Outcome, State, scalar
 from gbspec.training.problem import Integers, measured_states
 
@@ -49,15 +49,17 @@ STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
 MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov", "shares")
 """The filter's moments and steps in the state, from which the next search of them begins."""
-FLAT = 1e-8
-"""Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
+ROUNDING = 1e-13
+"""The smallest information of a combination of entries, over the largest, that is more than rounding."""
 
 
 @dataclass(frozen=True)
 class _System:
-    """The penalised objective at a vector: value, gradient and matrix; `found` is the filter there."""
+    """The penalised objective at a vector: value, gradient and matrix; `found` is the filter there, and `information`
+    the matrix without priors."""
 
     found: Filtered
+    information: Array
     value: float
     gradient: Array
     matrix: Array
@@ -208,8 +210,7 @@ class InnovationsFit:
         system = self._system(vector, scalar(state, "ridge"), _moments(state))
         if not system.found.finite:
             return float("inf")
-        information = self.engine.information(vector, system.found).matrix
-        effective = float(np.sum(_inverse(system.matrix, self.engine.layout.free) * information))
+        effective = float(np.sum(inverse(system.matrix, self.engine.layout.free, ROUNDING) * system.information))
         left = int(self.engine.problem.seen.sum()) - effective - 1
         return 2 * (system.found.value + effective * (1 + (effective + 1) / left)) if left > 0 else float("inf")
 
@@ -318,13 +319,13 @@ class InnovationsFit:
             slopes = np.zeros((len(priors), len(vector)))
             slopes[np.arange(len(priors)), priors.column] = priors.slopes(theta)
             matrix += slopes.T @ slopes
-        return _System(found, self._value(vector, ridge, found), gradient, matrix)
+        return _System(found, information.matrix, self._value(vector, ridge, found), gradient, matrix)
 
     def _evidence(self, system: _System, vector: Array, ridge: float) -> float:
         """The precision of the weights' prior by the evidence, averaged with the present one (in logarithms)."""
         count = self.engine.parameters.n_weights
-        weights, inverse = vector[:count], _inverse(system.matrix, self.engine.layout.free)
-        effective = float(np.clip(count - ridge * np.trace(inverse[:count, :count]), 1.0, count))
+        weights, covariance = vector[:count], inverse(system.matrix, self.engine.layout.free, ROUNDING)
+        effective = float(np.clip(count - ridge * np.trace(covariance[:count, :count]), 1.0, count))
         return float(np.sqrt(ridge * effective / max(float(weights @ weights), 1e-12)))
 
     def _failure(self, vector: Array, found: Filtered) -> ComputationError:
@@ -369,13 +370,13 @@ class InnovationsFit:
         system = self._system(vector, scalar(state, "ridge"))
         if not system.found.finite:
             return Certainty.unknown(parameters)
-        inverse = _inverse(system.matrix, engine.layout.free)
+        covariance = inverse(system.matrix, engine.layout.free, ROUNDING)
         known = np.diag(system.matrix) > 10 * FLAT
         theta = state["theta"]
         places = np.arange(parameters.n_weights, parameters.n_shared)
         slopes = parameters.bijections(parameters.shared).derivative(theta[places])
-        sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-        block = inverse[np.ix_(places, places)]
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        block = covariance[np.ix_(places, places)]
         roots = np.maximum(sd[places], 1e-300) * np.where(slopes < 0, -1.0, 1.0)
         own = np.zeros((parameters.trajectories, len(parameters.own)))
         if parameters.own:
@@ -408,13 +409,3 @@ def _moments(state: State) -> Guess | None:
     """The filter's moments and steps at the vector of a state, if they are known."""
     a, b, c, d, e = (state[name] for name in MOMENTS)
     return (a, b, c, d, e) if len(a) else None
-
-
-def _inverse(matrix: Array, free: Array) -> Array:
-    """The inverse of the information of the free entries; zero elsewhere."""
-    out, chosen = np.zeros_like(matrix), np.flatnonzero(free > 0)
-    block = matrix[np.ix_(chosen, chosen)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(block), FLAT))
-    inverse = np.linalg.pinv(block * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
-    out[np.ix_(chosen, chosen)] = inverse
-    return out

@@ -21,6 +21,8 @@ from gbspec.training.problem import Integers
 STEP = 1e-3
 """The change of an entry (a logarithm, or nearly) along which the information's change is taken. The term is of the
 order p/n beside the gradient, which is exact, so that its relative error of this size does not show."""
+FLAT = 1e-8
+"""Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
 LEAST = 1e-7
 """The smallest information of a combination of entries, over the largest, whose change can be told from rounding."""
 MOVED = 0.01
@@ -81,20 +83,27 @@ def slope(entries: Integers, free: Array, vector: Array, matrix: Array, at: Call
     `matrix` is the information at `vector`, and `at(vector)` that at a vector nearby (None where there is none).
     """
     out = np.zeros(len(vector))
-    others = (free > 0) & (np.diag(matrix) > 0)
-    others[entries] = False
-    if not others.any():
-        return out
-    block = matrix[np.ix_(others, others)]
-    scale = 1 / np.sqrt(np.diag(block))
-    inverse = np.linalg.pinv(block * np.outer(scale, scale), rcond=LEAST, hermitian=True) * np.outer(scale, scale)
-    for entry in entries[free[entries] > 0]:
+    others = np.where(np.diag(matrix) > 0, free, 0.0)
+    others[entries] = 0.0
+    known = inverse(matrix, others, LEAST)
+    for entry in entries[free[entries] > 0] if others.any() else []:
         near = vector.copy()
         near[entry] += STEP
         found = at(near)
         if found is not None:
-            out[entry] = 0.5 * np.sum(inverse * (found[np.ix_(others, others)] - block)) / STEP
+            out[entry] = 0.5 * np.sum(known * (found - matrix)) / STEP
     return out
 
 
-__all__ = ["Restricted", "sizes", "slope"]
+def inverse(matrix: Array, free: Array, least: float) -> Array:
+    """The inverse of the information of the free entries, zero elsewhere and for combinations that have less than
+    `least` of the information of the largest."""
+    out, chosen = np.zeros_like(matrix), np.flatnonzero(free > 0)
+    block = matrix[np.ix_(chosen, chosen)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(block), FLAT))
+    scaled = np.linalg.pinv(block * np.outer(scale, scale), rcond=least, hermitian=True)
+    out[np.ix_(chosen, chosen)] = scaled * np.outer(scale, scale)
+    return out
+
+
+__all__ = ["FLAT", "Restricted", "inverse", "sizes", "slope"]
