@@ -11,6 +11,9 @@ from .arrays import Vector as Vector
 from .categories import not_categories as not_categories
 from .categories import whole as whole
 from .censoring import Censored as Censored
+from .coordinates import LEAST as LEAST
+from .coordinates import Coordinate as Coordinate
+from .coordinates import coordinates_of as coordinates_of
 from .delays import Delay as Delay
 from .derivatives import between_jumps as between_jumps
 from .derivatives import derivative as derivative

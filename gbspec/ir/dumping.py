@@ -185,7 +185,7 @@ def _mathematics(model: Model) -> list[str]:
         "diffusions",
         (
             f"{d.state} by {written(d.value)}"
-            + ("" if d.relative is None else f"  (logarithm by {written(d.relative)})")
+            + ("" if d.relative is None else f"  ({'logit' if d.between else 'logarithm'} by {written(d.relative)})")
             for d in model.diffusions
         ),
     )

@@ -266,12 +266,14 @@ class Diffusion:
     """The random disturbance of a state (Ito): `value` times the increment of a Wiener process of its own.
 
     `relative` is `value` over the state if this does not depend on the state: then the state's logarithm has a
-    disturbance of this size, whatever the state is; else None.
+    disturbance of this size, whatever the state is; else None. With `between` (a, b) the size is proportional to
+    (x - a)(b - x), and `relative` is that of the disturbance of the logit, ln((x - a)/(b - x)).
     """
 
     state: str
     value: Expr
     relative: Expr | None = None
+    between: tuple[float, float] | None = None
     span: Span | None = field(default=None, compare=False, repr=False)
 
 

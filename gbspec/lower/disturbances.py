@@ -17,7 +17,7 @@ def disturbance(
     """The disturbance of the state `name`; `numbers` are the values of constants.
 
     Errors: another state in it (GB340), a negative number (GB343). Warning: it depends on its state other than in
-    proportion (GB410).
+    proportion to it, or to its distances from two numbers (GB410).
     """
     own = symbol(name)
     others = sorted(s.name for s in value.free_symbols if s.name in states and s != own)
@@ -29,10 +29,10 @@ def disturbance(
             help="it may depend on constants, learnable constants, conditions, inputs and the disturbed state itself",
         )
         return ir.Diffusion(name, sympy.S.Zero, span=place)
-    relative = sympy.cancel(value / own) if own in value.free_symbols else None
-    logarithmic = relative is not None and own not in relative.free_symbols
-    size = relative if logarithmic and relative is not None else value
-    number = size.xreplace({key: sympy.Float(each) for key, each in numbers.items()})
+    relative, between = _relative(value, own)
+    number = (value if relative is None else relative).xreplace(
+        {key: sympy.Float(each) for key, each in numbers.items()}
+    )
     if number.is_number and number.is_negative:
         findings.error(
             "GB343",
@@ -40,16 +40,37 @@ def disturbance(
             place,
             help="it is a size, like a standard deviation: leave out the sign",
         )
-    if relative is not None and not logarithmic:
+    if relative is None and own in value.free_symbols:
         findings.warning(
             "GB410",
             f"the diffusion of `{name}` depends on `{name}`, but is not proportional to it",
             place,
-            help=f"a size that is proportional to `{name}` is treated exactly (its logarithm is filtered); this one is "
-            f"taken at the estimated state. Accept it with `allow GB410 {name}`",
+            help=f"a size that is proportional to `{name}`, or to `{name}*(1 - {name})`, is treated exactly (its "
+            "logarithm or logit is filtered); this one is taken at the estimated state. Accept it with "
+            f"`allow GB410 {name}`",
             subject=name,
         )
-    return ir.Diffusion(name, value, size if logarithmic else None, span=place)
+    return ir.Diffusion(name, value, relative, between, span=place)
+
+
+def _relative(value: Expr, own: sympy.Symbol) -> tuple[Expr | None, tuple[float, float] | None]:
+    """The size of the disturbance of a state's logarithm, or of its logit between two numbers, if it does not depend on
+    the state."""
+    if own not in value.free_symbols:
+        return None, None
+    relative = sympy.cancel(value / own)
+    if own not in relative.free_symbols:
+        return relative, None
+    whole = sympy.cancel(value)
+    if not whole.is_polynomial(own) or sympy.degree(whole, own) != 2:
+        return None, None
+    square, slope, rest = sympy.Poly(whole, own).all_coeffs()
+    middle, product = sympy.cancel(-slope / (2 * square)), sympy.cancel(rest / square)
+    half = sympy.sqrt(middle**2 - product)
+    if not (middle.is_number and product.is_number and half.is_real and half.is_positive):
+        return None, None
+    low, high = float(middle - half), float(middle + half)
+    return sympy.cancel(-square) * sympy.Float(high - low), (low, high)
 
 
 def refuse_together(model: ir.Model, findings: Findings) -> None:

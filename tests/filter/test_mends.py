@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from gbspec.diagnostics import ComputationError, Findings
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Explicit
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines import FilterEngine
+from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.engines.filter.explicit import explicit_step
+from gbspec.training.engines.filter.result import Information
 from gbspec.training.engines.filter.sigma import Rates, Varied
 from gbspec.training.optimise import InnovationsFit
 from tests.filter.conftest import BENT, engine_of, table
@@ -69,3 +71,26 @@ def test_a_start_whose_spread_diverges_is_told_with_its_remedy(tmp_path: Path) -
     with pytest.raises(ComputationError) as caught:
         train(model, read(tmp_path / "d.csv", model, Findings()), TrainOptions(effort="low"), tmp_path / "run")
     assert "`initial p learn`" in caught.value.remedy
+
+
+def test_a_start_whose_iterations_fail_gives_way_to_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of several vectors one whose information is not finite does not end the fit; alone it does."""
+    engine, vector = engine_of(tmp_path, BENT, table("X V y", rows=4))
+    theta = engine.layout.split(vector)[0]
+    fit = InnovationsFit("innovations", 30, lambda: engine, [theta + 0.1], None)
+    state = fit.begin(theta)
+    first, known = np.concatenate([state["theta"], state["log_sd"]]), FilterEngine.information
+    lost: list[Array] = [first]
+
+    def information(self: FilterEngine, at: Array, found: Filtered | None = None) -> Information:
+        out = known(self, at, found)
+        fails = any(np.array_equal(at, each) for each in lost)
+        return replace(out, matrix=np.full_like(out.matrix, np.nan)) if fails else out
+
+    monkeypatch.setattr(FilterEngine, "information", information)
+    after = fit.step(state, 0).state
+    assert len(after["waiting"]) == len(state["waiting"]) - 1
+    assert not np.array_equal(np.concatenate([after["theta"], after["log_sd"]]), first)
+    lost += [np.concatenate([each, first[len(each) :]]) for each in state["waiting"]] + list(state["waiting"])
+    with pytest.raises(ComputationError):
+        fit.step(state, 0)

@@ -2,9 +2,10 @@
 
 Each sub-step is half a step of the disturbance alone, a Runge-Kutta step of the drift (order 4), and half a step of
 the disturbance again. The disturbance alone is solved exactly where its size does not depend on the state (an
-increment), or is proportional to it (Ito: a factor exp(sigma W - sigma^2 t / 2)): distributions then have the order 2
-in the length of the sub-step (Strang 1968; Ninomiya and Victoir 2008). Other sizes are taken at the state before (Euler
-and Maruyama, order 1).
+increment), or is proportional to it (Ito: a factor exp(sigma W - sigma^2 t / 2)), and of the logit of a state where its
+size is proportional to the distances from two numbers: distributions then have the order 2 in the length of the
+sub-step (Strang 1968; Ninomiya and Victoir 2008). Other sizes are taken at the state before (Euler and Maruyama, order
+1).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import coordinates_of
 
 if TYPE_CHECKING:
     from gbspec.analysis.simulation.design import Plan
@@ -61,8 +63,9 @@ class _Path:
         self.networks = instance.numpy_networks()
         self.constants = tuple(np.asarray(instance.weights["constants"], dtype=np.float64))
         self.condition = tuple(np.asarray(plan.condition, dtype=np.float64))
-        names = {d.state for d in model.diffusions if d.relative is not None}
-        self.relative = np.array([state.name in names for state in model.states])
+        coordinates = coordinates_of(model)
+        self.relative = np.array([each.logarithm for each in coordinates])
+        self.logits = [(i, each) for i, each in enumerate(coordinates) if each.high is not None]
         self.arrivals: dict[float, list[tuple[int, float]]] = {}
         terms = self.equations.doses(self.ops, self.condition, self.constants)
         for dose, (fraction, lag), events in zip(model.doses, terms, plan.doses, strict=True):
@@ -89,22 +92,47 @@ class _Path:
     def step(self, x: Array, t: float, h: float, random: np.random.Generator) -> Array:
         """One sub-step."""
         u = [self.inputs(t + share * h) for share in (1e-9, 0.5, 1 - 1e-9)] if self.model.inputs else [()] * 3
-        x = self._shaken(x, u[0], h / 2, random)
-        k1 = self._drift(t, x, u[0])
-        k2 = self._drift(t + h / 2, x + h / 2 * k1, u[1])
-        k3 = self._drift(t + h / 2, x + h / 2 * k2, u[1])
-        k4 = self._drift(t + h, x + h * k3, u[2])
-        return self._shaken(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), u[2], h / 2, random)
+        z = self._shaken(self._with_logits(x), u[0], h / 2, random)
+        k1 = self._drift(t, z, u[0])
+        k2 = self._drift(t + h / 2, z + h / 2 * k1, u[1])
+        k3 = self._drift(t + h / 2, z + h / 2 * k2, u[1])
+        k4 = self._drift(t + h, z + h * k3, u[2])
+        return self._states(self._shaken(z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), u[2], h / 2, random))
 
-    def _drift(self, t: float, x: Array, u: tuple[float, ...]) -> Array:
+    def _with_logits(self, x: Array) -> Array:
+        """The states, with logits for those that have them."""
+        z = x.copy()
+        for i, each in self.logits:
+            z[i] = each.of(np.log, each.inside(x[i]))
+        return z
+
+    def _states(self, z: Array) -> Array:
+        """The states of what `_with_logits` returns."""
+        x = z.copy()
+        with np.errstate(over="ignore"):
+            for i, each in self.logits:
+                x[i] = each.state(np.exp, z[i])
+        return x
+
+    def _drift(self, t: float, z: Array, u: tuple[float, ...]) -> Array:
+        x = self._states(z)
         with np.errstate(all="ignore"):
             found = self.equations.rhs(self.ops, t, x, self.condition, u, self.constants, self.networks)
-        return np.asarray(found, dtype=np.float64)
+            rate = np.array(found, dtype=np.float64)
+            if self.logits:
+                square = self._sizes(x, u) ** 2
+                for i, each in self.logits:
+                    rate[i] = each.drift(np.exp, rate[i], square[i], z[i], x[i])
+        return rate
 
-    def _shaken(self, x: Array, u: tuple[float, ...], h: float, random: np.random.Generator) -> Array:
-        """The states after the disturbance alone for a time `h`."""
+    def _sizes(self, x: Array, u: tuple[float, ...]) -> Array:
+        """The sizes of the disturbances at states."""
         found = self.equations.diffusions(self.ops, x, self.condition, u, self.constants)
-        sigma = np.broadcast_to(np.asarray(found, dtype=np.float64), x.shape)
+        return np.broadcast_to(np.asarray(found, dtype=np.float64), x.shape)
+
+    def _shaken(self, z: Array, u: tuple[float, ...], h: float, random: np.random.Generator) -> Array:
+        """The states and logits `z` after the disturbance alone for a time `h`."""
+        x, sigma = z, self._sizes(self._states(z), u)
         w = np.sqrt(h) * random.standard_normal(len(x))
         with np.errstate(over="ignore", invalid="ignore"):
             factor = np.exp(np.where(self.relative, sigma * w - 0.5 * sigma**2 * h, 0.0))

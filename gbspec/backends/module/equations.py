@@ -265,7 +265,8 @@ def diffusions_method(model: Model) -> list[str]:
     body.append(f"return math.pack(state, ({comma(names[output.symbol] for output in outputs)}))")
     parameters = ["cls", "math", "state", "condition", "inputs", "constants"]
     document = (
-        "The size of each state's random disturbance; of its logarithm, where the size is proportional to the state."
+        "The size of each state's random disturbance; of its logarithm, where the size is proportional to the state; "
+        "of its logit between two numbers, where it is proportional to the distances from both."
     )
     return [method_text("@classmethod", "diffusions", parameters, document, body)]
 

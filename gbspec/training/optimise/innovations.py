@@ -151,7 +151,12 @@ class InnovationsFit:
         """One iteration; after `ROUND` of them the next vector, and after the last one the best goes on."""
         if f"{CONSTANT}theta" in state:
             return self._compared(state, iteration)
-        outcome = self._iteration(state, iteration)
+        try:
+            outcome = self._iteration(state, iteration)
+        except ComputationError:
+            if not len(state["waiting"]) and not len(state["best"]):
+                raise
+            return self.step(self._next(state), iteration)
         left = scalar(state, "left") - 1
         new = {**state, **outcome.state, "left": np.array(left)}
         if not len(state["waiting"]) and not len(state["best"]):
@@ -161,12 +166,15 @@ class InnovationsFit:
         vector = np.concatenate([new["theta"], new["log_sd"]])
         if outcome.loss < scalar(state, "best_value"):
             new |= {"best": vector, "best_value": np.array(outcome.loss)}
+        loss = outcome.loss if len(state["waiting"]) else scalar(new, "best_value")
+        return Outcome(self._next(new), loss, False)
+
+    def _next(self, state: State) -> State:
+        """The state at the next vector that waits, or after the last one at the best."""
         if len(state["waiting"]):
             following = self._begun(state["waiting"][0])
-            new |= {**following, "waiting": state["waiting"][1:], "left": np.array(float(ROUND))}
-            return Outcome(new, outcome.loss, False)
-        new |= {**self._begun(new["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
-        return Outcome(new, scalar(new, "best_value"), False)
+            return {**state, **following, "waiting": state["waiting"][1:], "left": np.array(float(ROUND))}
+        return {**state, **self._begun(state["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
 
     def _rested(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
         """An iteration of the best start. Where the fit with unknown functions rests, one in which these are constants
@@ -219,7 +227,7 @@ class InnovationsFit:
         engine, vector = self.engine, np.concatenate([state["theta"], state["log_sd"]])
         damping, ridge, settled = (scalar(state, name) for name in ("damping", "ridge", "settled"))
         system = self._system(vector, ridge, _moments(state))
-        if not system.found.finite:
+        if not (system.found.finite and np.isfinite(system.matrix).all()):
             raise self._failure(vector, system.found)
         term = self._restricted(state, system, vector, ridge) if settled else _restored(state)
         system = replace(system, gradient=system.gradient + term.slope)

@@ -77,7 +77,9 @@ class FilteredRun:
                 between = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
                 variances = tuple(own + more for own, more in zip(variances, between, strict=True))
         sd, spread = (np.sqrt(np.maximum(each, 0.0)) for each in variances)
-        states, channels = engine.coordinates.states(z), np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y)
+        states = engine.coordinates.states(z)
+        sd = np.where(log, sd, sd / engine.coordinates.slopes(states))
+        channels = np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y)
         return [Smoothed(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
 
     def _path(self, vector: Array, found: Filtered) -> tuple[Array, Array, Array, Array]:

@@ -1,13 +1,10 @@
-"""The coordinates of the filter: logarithms of states whose disturbance is proportional to them (Lamperti).
-
-With dX = f dt + sigma X dW (Ito), Z = ln X has dZ = (f / X - sigma^2 / 2) dt + sigma dW: its disturbance does not
-depend on it, so that the filter's equations for mean and covariance need no further approximation.
-"""
+"""The coordinates of the filter: those of `ir.Coordinate`, in which disturbances do not depend on the states."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,54 +13,84 @@ from torch import Tensor
 
 from gbspec.arrays import Array, Mask
 from gbspec.backends import Networks
-from gbspec.ir import Model
+from gbspec.ir import LEAST, Coordinate, Model, coordinates_of
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.problem import Problem
 
-LEAST = 1e-12
-"""States that must be positive are not taken below this where data or guesses are not."""
 Field = Callable[[Any, Tensor, Tensor], Tensor]
-
-
-def relative_states(model: Model) -> Mask:
-    """Which states [n] are filtered as logarithms."""
-    names = {d.state for d in model.diffusions if d.relative is not None}
-    return np.array([state.name in names for state in model.states], dtype=np.bool_)
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The coordinates of a model's states; `log` [n] marks the logarithms."""
+    """The coordinates of a model's states [n]."""
 
-    log: Mask
+    each: tuple[Coordinate, ...]
 
-    @property
+    @classmethod
+    def of_model(cls, model: Model) -> Coordinates:
+        """The coordinates in which the disturbances do not depend on the states, where there are any."""
+        return cls(coordinates_of(model))
+
+    @cached_property
     def plain(self) -> bool:
         """Whether all coordinates are the states themselves."""
-        return not bool(self.log.any())
+        return all(each.plain for each in self.each)
+
+    @cached_property
+    def log(self) -> Mask:
+        """Which coordinates [n] are logarithms."""
+        return np.array([each.logarithm for each in self.each], dtype=np.bool_)
+
+    @cached_property
+    def bent(self) -> Mask:
+        """Which coordinates [n] are logarithms or logits, whose typical size is 1."""
+        return np.array([not each.plain for each in self.each], dtype=np.bool_)
 
     def of(self, states: Array) -> Array:
-        """The coordinates of states [..., n]."""
-        return np.where(self.log, np.log(np.maximum(states, LEAST)), states)
+        """The coordinates of states [..., n]; states that have none are moved to the nearest that have."""
+        parts = [each.of(np.log, each.inside(states[..., i])) for i, each in enumerate(self.each)]
+        return np.stack(parts, axis=-1)
+
+    def slopes(self, states: Array) -> Array:
+        """The derivatives of coordinates by states [..., n]."""
+        parts = [each.slope(each.inside(states[..., i])) for i, each in enumerate(self.each)]
+        return np.stack(parts, axis=-1)
+
+    def spreads(self, states: Array, sizes: Array, least: float) -> Array:
+        """The standard deviations [..., n] of states whose sizes are typically so far from `states`: of those with
+        another coordinate the standard deviation of this (at least `least`), times what the state moves with it."""
+        parts = [each.spread(each.inside(states[..., i]), sizes[..., i], least) for i, each in enumerate(self.each)]
+        return np.stack(parts, axis=-1)
 
     def states(self, z: Array) -> Array:
         """The states of coordinates [..., n]."""
+        if self.plain:
+            return z
         with np.errstate(over="ignore"):
-            return np.where(self.log, np.exp(np.where(self.log, z, 0.0)), z)
+            return np.stack([each.state(np.exp, z[..., i]) for i, each in enumerate(self.each)], axis=-1)
+
+    def drift(self, rate: Array, square: Array, z: Array, x: Array) -> Array:
+        """The drift of coordinates [..., n]: `Coordinate.drift` of each."""
+        parts = (rate, square, z, x)
+        return np.stack([c.drift(np.exp, *(part[..., i] for part in parts)) for i, c in enumerate(self.each)], axis=-1)
 
     def torch_states(self, z: Tensor) -> Tensor:
         """The states of coordinates [n]."""
         if self.plain:
             return z
-        mask = torch.from_numpy(self.log)
-        return torch.where(mask, torch.exp(torch.where(mask, z, torch.zeros_like(z))), z)
+        return torch.stack([each.state(torch.exp, z[..., i]) for i, each in enumerate(self.each)], dim=-1)
 
     def torch_of(self, x: Tensor) -> Tensor:
         """The coordinates of states [n]."""
         if self.plain:
             return x
-        mask = torch.from_numpy(self.log)
-        return torch.where(mask, torch.log(torch.where(mask, x, torch.ones_like(x))), x)
+        return torch.stack([each.of(torch.log, x[..., i]) for i, each in enumerate(self.each)], dim=-1)
+
+    def torch_drift(self, rate: Tensor, square: Tensor, z: Tensor, x: Tensor) -> Tensor:
+        """The drift of coordinates [n]."""
+        parts = (rate, square, z, x)
+        found = [c.drift(torch.exp, *(part[..., i] for part in parts)) for i, c in enumerate(self.each)]
+        return torch.stack(found, dim=-1)
 
 
 @dataclass(frozen=True)
@@ -93,13 +120,10 @@ class Dynamics:
         rhs = self.problem.module.equations.field(self._ops, self.condition.unbind(-1), self.constants, self.networks)
         if self.coordinates.plain:
             return rhs  # type: ignore[no-any-return]
-        mask = torch.from_numpy(self.coordinates.log)
 
         def drift(t: Any, z: Tensor, u: Tensor) -> Tensor:
             x = self.coordinates.torch_states(z)
-            rate = rhs(t, x, u)
-            safe = torch.where(mask, x, torch.ones_like(x))
-            return torch.where(mask, rate / safe - 0.5 * self.spread(z, u) ** 2, rate)
+            return self.coordinates.torch_drift(rhs(t, x, u), self.spread(z, u) ** 2, z, x)
 
         return drift
 

@@ -30,11 +30,11 @@ steps in a sub-step: one that needs more has no solution."""
 @dataclass(frozen=True)
 class Tolerance:
     """The tolerance of the error of a step: relative to the sizes of coordinates, with a share of the typical ones
-    `scale` [n]; of logarithms (`log` [n]) absolute; and relative to their spreads."""
+    `scale` [n]; of logarithms and logits (`bent` [n]) absolute; and relative to their spreads."""
 
     control: Control
     scale: Array
-    log: Mask
+    bent: Mask
 
     def error(self, means: tuple[Array, Array, Array], covs: tuple[Array, Array]) -> Array:
         """The errors [b] of steps, in units of the tolerance, from the means [b, n] before them and after one step and
@@ -42,7 +42,7 @@ class Tolerance:
         before, one, two = means
         variance = np.diagonal(covs[1], axis1=1, axis2=2)
         sd = np.sqrt(np.maximum(variance, 0.0) + LEAST * self.scale**2)
-        size = np.where(self.log, 1.0, np.maximum(np.abs(before), np.abs(two)) + self.control.floor)
+        size = np.where(self.bent, 1.0, np.maximum(np.abs(before), np.abs(two)) + self.control.floor)
         of_mean = (np.abs(two - one) / (size + LOOSE * sd)).max(axis=1)
         of_cov = (np.abs(covs[1] - covs[0]) / (sd[:, :, None] * sd[:, None])).max(axis=(1, 2))
         error = np.maximum(of_mean, of_cov / LOOSE) / self.control.rtol

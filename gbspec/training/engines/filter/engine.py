@@ -19,7 +19,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.ir import METHODS, linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.compiled import Advance, advance
-from gbspec.training.engines.filter.coordinates import LEAST, Coordinates, relative_states
+from gbspec.training.engines.filter.coordinates import Coordinates
 from gbspec.training.engines.filter.division import SHARE, Looked, Tolerance, refined, trimmed
 from gbspec.training.engines.filter.exact import Exact
 from gbspec.training.engines.filter.flows import Points, Stepped
@@ -61,20 +61,19 @@ class FilterEngine:
     def of(cls, problem: Problem, parameters: Parameters) -> FilterEngine:
         """The engine with the default variances: those of states whose starts are neither given nor learned are
         `SPREAD` times their typical size, squared; those of logarithms are of the lognormal distribution with this
-        standard deviation, and at least `SPREAD` squared."""
+        standard deviation, and at least `SPREAD` squared, those of logits likewise, and at most of a uniform one."""
         kinds = np.array([state.initial.kind for state in problem.model.states])
         free = np.where(kinds == "learned", 1.0, 0.0) * np.ones_like(parameters.start_free)
-        unknown, value = np.where(kinds == "measured", 1.0, 0.0), np.abs(parameters.start_value)
-        size = SPREAD * parameters.start_scale * np.ones_like(value)
-        relative = np.maximum(np.sqrt(np.log1p((size / np.maximum(value, LEAST)) ** 2)), SPREAD)
-        variance = unknown * np.where(relative_states(problem.model), relative * value, size) ** 2
+        unknown, coordinates = np.where(kinds == "measured", 1.0, 0.0), Coordinates.of_model(problem.model)
+        size = SPREAD * parameters.start_scale * np.ones_like(parameters.start_value)
+        variance = unknown * coordinates.spreads(parameters.start_value, size, SPREAD) ** 2
         return cls(problem, replace(parameters, start_free=free), variance)
 
     # ---------------------------------------------------------------- what does not depend on the vector
     @cached_property
     def coordinates(self) -> Coordinates:
         """The coordinates of the states."""
-        return Coordinates(relative_states(self.problem.model))
+        return Coordinates.of_model(self.problem.model)
 
     @cached_property
     def noise(self) -> Noise:
@@ -110,7 +109,7 @@ class FilterEngine:
         """The tolerance that steps follow; None where they are fixed, or exact."""
         if self.exact is not None or self.problem.control is None:
             return None
-        return Tolerance(self.problem.control, self.scale, self.coordinates.log)
+        return Tolerance(self.problem.control, self.scale, self.coordinates.bent)
 
     @cached_property
     def advance(self) -> Advance:
@@ -130,7 +129,7 @@ class FilterEngine:
     @cached_property
     def scale(self) -> Array:
         """The typical sizes [n] of the coordinates."""
-        return np.where(self.coordinates.log, 1.0, self.parameters.start_scale)
+        return np.where(self.coordinates.bent, 1.0, self.parameters.start_scale)
 
     @cached_property
     def _path(self) -> Path:

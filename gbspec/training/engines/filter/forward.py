@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir import Model
-from gbspec.training.engines.filter.coordinates import LEAST
+from gbspec.ir import LEAST, Model
 from gbspec.training.engines.filter.jets import Jet, Vector, jet, jet_arithmetic
 from gbspec.training.engines.filter.local import Arrays, Evaluated, Local
 
@@ -46,15 +45,15 @@ class _Point:
         """The states of coordinates."""
         if self.local.coordinates.plain:
             return z
-        exp, log = jet_arithmetic().exp, self.local.coordinates.log
-        return Vector(exp(x) if logged else x for x, logged in zip(z, log, strict=True))
+        exp, coordinates = jet_arithmetic().exp, self.local.coordinates.each
+        return Vector(one.state(exp, each) for each, one in zip(z, coordinates, strict=True))
 
     def of_states(self, x: Vector) -> Vector:
         """The coordinates of states."""
         if self.local.coordinates.plain:
             return x
-        log, logged = jet_arithmetic().log, self.local.coordinates.log
-        return Vector(log(each) if mine else each for each, mine in zip(x, logged, strict=True))
+        log, coordinates = jet_arithmetic().log, self.local.coordinates.each
+        return Vector(one.of(log, each) for each, one in zip(x, coordinates, strict=True))
 
     def spread(self, x: Vector, u: Array) -> Vector:
         """The sizes of the disturbances [n] at states."""
@@ -64,13 +63,14 @@ class _Point:
 
     def drift(self, t: Any, z: Vector, u: Array) -> Vector:
         """The drift of the coordinates [n]."""
-        log, x = self.local.coordinates.log, self.states(z)
+        x = self.states(z)
         equations = self.local.problem.module.equations
         rate: Vector = equations.rhs(jet_arithmetic(), t, x, self.condition, u, self.constants, ())
         if self.local.coordinates.plain:
             return rate
-        sizes = self.spread(x, u)
-        return Vector(rate[i] / x[i] - 0.5 * (sizes[i] * sizes[i]) if log[i] else rate[i] for i in range(len(rate)))
+        sizes, exp = self.spread(x, u), jet_arithmetic().exp
+        parts = zip(self.local.coordinates.each, rate, sizes, z, x, strict=True)
+        return Vector(one.drift(exp, f, size * size, at, state) for one, f, size, at, state in parts)
 
     def dosed(self, z: Vector, amounts: Array) -> Vector:
         """The coordinates after doses [B, kinds]."""

@@ -14,8 +14,7 @@ import numpy as np
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir import Model
-from gbspec.training.engines.filter.coordinates import LEAST
+from gbspec.ir import LEAST, Model
 from gbspec.training.engines.filter.local import Arrays, Evaluated, Local
 
 quiet = np.errstate(all="ignore")
@@ -66,12 +65,12 @@ class Values:
     def field(self, z: Array, k: Array, w: Tensor, data: Arrays) -> Evaluated:
         """`Local.field`."""
         t, u, condition = data
-        log, x = self.local.coordinates.log, self.local.coordinates.states(z)
-        equations = self.local.problem.module.equations
+        coordinates, equations = self.local.coordinates, self.local.problem.module.equations
+        x = coordinates.states(z)
         rhs = equations.field(self._ops, condition, self._constants(k), self._networks(w))
         rate, square = np.broadcast_to(rhs(t, x, u), x.shape), self._spread(x, k, u, condition) ** 2
-        if not self.local.coordinates.plain:
-            rate = np.where(log, rate / np.where(log, x, 1.0) - 0.5 * square, rate)
+        if not coordinates.plain:
+            rate = coordinates.drift(rate, square, z, x)
         return Evaluated((rate, square))
 
     @quiet
