@@ -23,6 +23,7 @@ from gbspec.training.profile import likelihood
 from gbspec.training.recipe.stiffness import chosen_solver
 from gbspec.training.runs.variations import points
 from gbspec.training.starts import Search
+from tests.algebraic.models import built
 from tests.training.conftest import Recorder, model_of, trajectory, urp_data
 
 KNOWN = """model known_urp
@@ -193,6 +194,20 @@ def test_stiff_equations_get_the_stiff_method_and_a_reason(tmp_path: Path) -> No
     states = opened.member().simulate([1.0, 0.3], times).detach().numpy()
     assert np.abs(states - values).max() < 1e-3, "steps are adaptive there too"
     assert not opened.fit.step_checks and analysing.validate(opened, data).step_check.half_step is None
+
+
+@pytest.mark.parametrize("rate", [5000, 1])
+def test_the_reduced_equations_of_algebraic_variables_are_looked_at(rate: int) -> None:
+    """y follows z, which an equation gives: the decay is that of the balance in which z has been eliminated."""
+    text = FAST.replace("learn k", "algebraic z in [0, 1] = 0.5\nlearn k").replace(
+        "y' = 5000*(c*x - y)", f"y' = {rate}*(z - 0.5*y)\nequation follow: z + 0.1*z^3 = c*x - 0.5*y"
+    )
+    model, times = built(text), np.linspace(0.0, 4.0, 21)
+    values = np.stack([np.exp(-0.5 * times), 0.25 * np.exp(-0.5 * times)], 1)
+    data = Trajectories((trajectory("0", 0.0, times, values, []),), ("x", "y"))
+    name, reason = chosen_solver(model, load_module(model), data, TrainOptions(backend="torch"))
+    assert name == ("ros34pw2" if rate > 1 else "rk4")
+    assert (reason is not None and reason.startswith("the equations are stiff")) == (rate > 1)
 
 
 def test_times_over_many_decades_get_the_stiff_method() -> None:

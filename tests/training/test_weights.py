@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.backends import load_module
 from gbspec.data import Estimated, Trajectories, scales_of, unstated
 from gbspec.report import run_summary
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
-from gbspec.training.recipe.weighing import CLEAN, share_of
+from gbspec.training.recipe import build_context
+from gbspec.training.recipe.weighing import CLEAN, share_of, unsettled
 from gbspec.training.runs.member import Interrupted
 from tests.training.conftest import Recorder, model_of, trajectory
 
@@ -127,3 +129,12 @@ def test_residuals_that_follow_one_another_count_less() -> None:
     assert share_of(drift, owner) == pytest.approx(25 / 400), "25 values count at least"
     assert 0.2 < share_of(np.convolve(noise, np.ones(3) / 3, "same"), owner) < 0.4
     assert share_of(drift, np.arange(400)) == 1.0, "residuals of different trajectories"
+
+
+@pytest.mark.parametrize(("rows", "ratio", "expected"), [(20, 1.5, False), (20, 2.0, True), (200, 1.5, True)])
+def test_weights_are_introduced_where_noises_differ_beyond_chance(rows: int, ratio: float, expected: bool) -> None:
+    """The logarithm of the ratio of two standard deviations from 20 values each is known to 0.22; log 1.5 = 0.41."""
+    model, data = model_of(REACTION.format("", "")), logged((0.05, 0.05), dense=rows, few=rows)
+    context = build_context(model, load_module(model), data, TrainOptions(backend="torch"), 0)
+    noise = context.problem().scaling.channel * np.array([1.0, ratio])
+    assert unsettled(context, Estimated(0.05 * noise, np.ones(2))) == expected

@@ -59,8 +59,9 @@ def chosen_solver(
 ) -> tuple[str, str | None]:
     """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
 
-    Models with delays are computed with the explicit one, so are models with algebraic variables, where draws of
-    constants are costly; disturbed models that are linear are solved exactly.
+    Models with delays are computed with the explicit one; disturbed models that are linear are solved exactly. Of
+    models with algebraic variables the Jacobian is that of the reduced equations, and draws of constants, which are
+    costly there, are not looked at.
     """
     if not _may_be_stiff(model):
         return solver_of(options), None
@@ -79,7 +80,8 @@ def chosen_solver(
     rates = decays(context, parameters, theta)
     fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
     if not step * fast > LIMIT:
-        drawn = model.complete and not model.diffusions  # no solution from a start follows a disturbed one
+        # No solution from a start follows a disturbed one.
+        drawn = model.complete and not (model.diffusions or model.algebraics)
         reason = _by_draws(model, module, some, options, theta) if drawn else None
         return (solver_of(options), None) if reason is None else (STIFF.name, reason)
     reason = (
@@ -234,4 +236,4 @@ def stiff_as_learned(
 def _may_be_stiff(model: Model) -> bool:
     """Whether the stiff solver is offered for a model, and needed where its equations are stiff."""
     exactly = model.diffusions and linear_in_states(model) is not None
-    return not (exactly or model.algebraics or model.delays)
+    return not (exactly or model.delays)

@@ -35,6 +35,8 @@ UNEQUAL = 5.0
 NOTICED, SETTLED = 0.25, 0.1
 """Weights are introduced where the ratio of two scales changes by more than `NOTICED` (of its logarithm), and changed
 while it changes by more than `SETTLED`."""
+CHANCE = 2.0
+"""Weights are introduced where that ratio changes by more than so many standard deviations of its estimate."""
 LEAST_LEFT = 0.25
 """The least share of a channel's values that is taken to be left by a fit."""
 TOLD = 25
@@ -154,17 +156,23 @@ def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> E
     return Estimated(np.maximum(noise, CLEAN * deviation), share)
 
 
-def change(context: Context, new: Estimated) -> float:
-    """The largest change of the logarithm of a ratio of two channels' scales."""
+def change(context: Context, new: Estimated) -> tuple[float, float]:
+    """The largest change of the logarithm of a ratio of two channels' scales, and the standard deviation of the
+    logarithm of the ratio of their estimated noises."""
     packed, before = context.packed(), context.problem().scaling.channel
-    measured = (packed.weights > 0).any(axis=0)
+    measured = np.flatnonzero((packed.weights > 0).any(axis=0))
+    if not len(measured):
+        return 0.0, 0.0
     ratio = np.log(context.scaled(new).channel / before)[measured]
-    return float(ratio.max() - ratio.min()) if len(ratio) else 0.0
+    ends = measured[[int(np.argmax(ratio)), int(np.argmin(ratio))]]
+    counted = np.maximum((packed.weights > 0).sum(axis=0) * new.share, 1.0)[ends]
+    return float(ratio.max() - ratio.min()), float(np.sqrt(np.sum(0.5 / counted)))
 
 
 def unsettled(context: Context, new: Estimated) -> bool:
-    """Whether the new scales differ noticeably from the present ones."""
-    return change(context, new) > (NOTICED if context.estimated is None else SETTLED)
+    """Whether the new scales differ from the present ones noticeably, and by more than chance."""
+    moved, sd = change(context, new)
+    return moved > (max(NOTICED, CHANCE * sd) if context.estimated is None else SETTLED)
 
 
 def share_of(residuals: Array, owner: Integers) -> float:
