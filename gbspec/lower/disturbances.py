@@ -29,10 +29,9 @@ def disturbance(
             help="it may depend on constants, learnable constants, conditions, inputs and the disturbed state itself",
         )
         return ir.Diffusion(name, sympy.S.Zero, span=place)
-    relative, between = _relative(value, own)
-    number = (value if relative is None else relative).xreplace(
-        {key: sympy.Float(each) for key, each in numbers.items()}
-    )
+    known = {key: sympy.Float(each) for key, each in numbers.items()}
+    relative, between = _relative(value, own, known)
+    number = (value if relative is None else relative).xreplace(known)
     if number.is_number and number.is_negative:
         findings.error(
             "GB343",
@@ -53,9 +52,11 @@ def disturbance(
     return ir.Diffusion(name, value, relative, between, span=place)
 
 
-def _relative(value: Expr, own: sympy.Symbol) -> tuple[Expr | None, tuple[float, float] | None]:
+def _relative(
+    value: Expr, own: sympy.Symbol, known: dict[sympy.Symbol, sympy.Float]
+) -> tuple[Expr | None, tuple[float, float] | None]:
     """The size of the disturbance of a state's logarithm, or of its logit between two numbers, if it does not depend on
-    the state."""
+    the state; `known` are the values of constants."""
     if own not in value.free_symbols:
         return None, None
     relative = sympy.cancel(value / own)
@@ -65,7 +66,7 @@ def _relative(value: Expr, own: sympy.Symbol) -> tuple[Expr | None, tuple[float,
     if not whole.is_polynomial(own) or sympy.degree(whole, own) != 2:
         return None, None
     square, slope, rest = sympy.Poly(whole, own).all_coeffs()
-    middle, product = sympy.cancel(-slope / (2 * square)), sympy.cancel(rest / square)
+    middle, product = (sympy.cancel(each).xreplace(known) for each in (-slope / (2 * square), rest / square))
     half = sympy.sqrt(middle**2 - product)
     if not (middle.is_number and product.is_number and half.is_real and half.is_positive):
         return None, None

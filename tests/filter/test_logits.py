@@ -98,6 +98,7 @@ def test_a_spread_start_stays_between_the_numbers(tmp_path: Path) -> None:
         ("s*V*(1 - V)", (0.0, 1.0)),
         ("s*V*(4 - V)/c", (0.0, 4.0)),
         ("c*(V^2 - 1)", (-1.0, 1.0)),
+        ("s*V*(1 - V/K)", (0.0, 5.0)),
         ("s*V", None),
         ("s*(1 + V^2)", None),
         ("s*(V - c)*(4 - V)", None),
@@ -106,7 +107,7 @@ def test_a_spread_start_stays_between_the_numbers(tmp_path: Path) -> None:
 )
 def test_two_numbers_are_found(size: str, between: tuple[float, float] | None) -> None:
     text = (
-        f"model m\nstate V in [0, 1] = 0.5\nlearn s = 1 in [0, 2]\nlearn c = 1 in [0.5, 2]\nV' = c - V\n"
+        f"model m\nstate V in [0, 1] = 0.5\nlearn s = 1 in [0, 2]\nlearn c = 1 in [0.5, 2]\nconst K = 5\nV' = c - V/K\n"
         f"diffusion V = {size}\nobserve V\n"
     )
     model = load_model("m", Findings(), lambda _: Source("m.gb", text))
