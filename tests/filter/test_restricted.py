@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.optimize import minimize
 
 from gbspec.arrays import Array
@@ -13,6 +14,8 @@ from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, filter_run, train
+from gbspec.training.engines import FilterEngine
+from tests.filter.conftest import engine_of, table
 
 DRIFT = """model drift
 time t
@@ -27,6 +30,24 @@ observe x noise normal(1e-4)
 """
 
 
+TWO = """model two
+time t
+input u in [-2, 2] held
+state X in [-5, 5] = 1
+state V in [-5, 5] = 1
+learn a = 0.5 in [-10, 10]
+learn b = 0.4 in [-10, 10]
+learn s = 0.3 in [0, 5]
+learn r = 0.4 in [0, 5]
+X' = a - X + 0.5*V
+V' = b*u - 0.3*X
+initial V learn
+diffusion X = s
+diffusion V = r
+observe X
+observe y = V - 0.2*X
+observe V noise normal(0.3)
+"""
 QUICK = TrainOptions(effort="low", backend="torch", device="cpu")
 
 
@@ -78,3 +99,24 @@ def test_disturbance_and_noise_are_those_of_a_dense_restricted_likelihood(tmp_pa
     assert likelihood is not None
     found = run.fit.constants["s"].value, likelihood.noise["x"].value
     np.testing.assert_allclose(found, best, rtol=5e-3)
+
+
+@pytest.mark.parametrize("exactly", [True, False], ids=["exact", "sigma"])
+def test_the_change_of_the_information_is_that_of_differences(tmp_path: Path, exactly: bool) -> None:
+    # a, b and the starts of V enter means alone, so that the change of the information of means is the whole change.
+    engine, vector = engine_of(tmp_path, TWO, table("X y V"))
+    if not exactly:
+        engine = FilterEngine(engine.problem, engine.parameters, engine.start_variance)
+        engine.__dict__["exact"] = None
+    entries = np.array([2, 3, len(vector) - 2, len(vector) - 1])
+    others = np.array([0, 1, *4 + np.flatnonzero(engine.layout.free[4:-2])])
+    factor = np.zeros((len(vector), 3))
+    factor[others] = np.random.default_rng(3).standard_normal((len(others), 3))
+    change = engine.information_change(vector, engine.filtered(vector), factor, entries)
+
+    def size(at: Array) -> float:
+        return float(np.trace(factor.T @ engine.information(at).matrix @ factor))
+
+    step = 1e-4 * np.eye(len(vector))[entries]
+    differences = [(size(vector + h) - size(vector - h)) / 2e-4 for h in step]
+    np.testing.assert_allclose(change, differences, rtol=1e-5)

@@ -14,7 +14,7 @@ from gbspec.ir import Model
 from gbspec.operations import models, tables
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Groups
-from tests.training.test_populations import DECAY, LEVEL, marginal_of, model_of
+from tests.training.test_populations import DECAY, LEVEL, assert_slopes_of_constants, marginal_of, model_of
 
 NESTED = LEVEL.replace("~ normal(s)", "~ normal(s) per strain ~ normal(w)\nlearn w = 0.8 > 0")
 ALONE = LEVEL.replace("per trajectory ~ normal(s)", "per strain ~ normal(s)")
@@ -92,6 +92,13 @@ def test_gradient_and_information_are_those_of_the_likelihood(tmp_path: Path, te
     numeric = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
     assert found.parameters.sum(axis=0) @ along == pytest.approx(numeric, rel=1e-6, abs=1e-6)
     assert np.linalg.eigvalsh(made.information(u, weights, point.z)).min() > 0
+
+
+@pytest.mark.parametrize("text", [NESTED, DECAYS], ids=["nested", "decays"])
+def test_constants_follow_the_parameters_as_differences_say(tmp_path: Path, text: str) -> None:
+    model, data, _ = strains(tmp_path, text)
+    made, u, weights = marginal_of(model, data)
+    assert_slopes_of_constants(made, u, weights, 2e-5)
 
 
 def test_columns_that_cross_join_their_groups(tmp_path: Path) -> None:

@@ -130,6 +130,29 @@ def exact(values: np.ndarray, mean: float, spread: float, noise: float) -> float
     return float(values.size * np.log(2 * np.pi) + len(values) * np.linalg.slogdet(covariance)[1] + squares)
 
 
+def assert_slopes_of_constants(made: Marginal, u: np.ndarray, weights: np.ndarray, tolerance: float) -> None:
+    """The slopes of trajectories' constants are those of their modes, found again beside u."""
+    likelihood, layout = made.likelihood, made.layout
+    start = np.zeros((likelihood.groups.count, likelihood.groups.size))
+
+    def constants(at: np.ndarray) -> np.ndarray:
+        natural = layout.natural(made.rows(at))
+        modes = torch.from_numpy(made.value(at, weights, start).z)
+        return layout.constants(natural, likelihood.groups.numbers(modes))[0].numpy()[:, layout.place]
+
+    slopes = made.individual_slopes(u, weights, made.value(u, weights, start).z)
+    for p, step in enumerate(1e-3 * np.eye(len(u))):
+        difference = (constants(u + step) - constants(u - step)) / 2e-3
+        assert slopes[..., p] == pytest.approx(difference, rel=tolerance, abs=tolerance)
+
+
+@pytest.mark.parametrize("text", [DECAY, NETWORK], ids=["decay", "network"])
+def test_constants_follow_the_parameters_as_differences_say(tmp_path: Path, text: str) -> None:
+    model, data = decays(tmp_path, text)
+    made, u, weights = marginal_of(model, data)
+    assert_slopes_of_constants(made, u, weights, 2e-5)
+
+
 @pytest.mark.parametrize("nodes", [1, 3])
 def test_the_likelihood_of_a_linear_model_is_exact(tmp_path: Path, nodes: int) -> None:
     model, data, values = levels(tmp_path)

@@ -270,11 +270,7 @@ class InnovationsFit:
         if term.fits(at):
             return term
 
-        def near(other: Array) -> Array | None:
-            found = self._system(other, ridge, system.found.guess)
-            return found.matrix if found.found.finite else None
-
-        return Restricted(slope(self._sizes, engine.layout.free, vector, system.matrix, near), at, 0)
+        return Restricted(slope(engine, self._sizes, vector, system.found, system.matrix), at, 0)
 
     def _move(self, system: _System, damping: float, vector: Array) -> Array:
         """The damped step within a box: no entry longer than allowed, and no noise below the least.

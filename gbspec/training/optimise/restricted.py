@@ -9,18 +9,14 @@ to the negative log likelihood, H_dd being their information.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines import FilterEngine
+from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.problem import Integers
 
-STEP = 1e-3
-"""The change of an entry (a logarithm, or nearly) along which the information's change is taken. The term is of the
-order p/n beside the gradient, which is exact, so that its relative error of this size does not show."""
 FLAT = 1e-8
 """Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
 LEAST = 1e-7
@@ -77,21 +73,21 @@ class Restricted:
         return bool((moved <= MOVED).all())
 
 
-def slope(entries: Integers, free: Array, vector: Array, matrix: Array, at: Callable[[Array], Array | None]) -> Array:
+def slope(engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, matrix: Array) -> Array:
     """The gradient [size] of log det H_dd / 2 by the `entries`, H_dd being the block of the other free entries.
 
-    `matrix` is the information at `vector`, and `at(vector)` that at a vector nearby (None where there is none).
+    `matrix` is the information at `vector`, with priors, and `found` the filter there. The gradient is that of the
+    linear model that the filter has found: half the trace of H_dd^-1 and the change of the information of means. That
+    of variances does not change with a common factor of all sizes.
     """
-    out = np.zeros(len(vector))
+    out, free = np.zeros(len(vector)), engine.layout.free
     others = np.where(np.diag(matrix) > 0, free, 0.0)
     others[entries] = 0.0
-    known = inverse(matrix, others, LEAST)
-    for entry in entries[free[entries] > 0] if others.any() else []:
-        near = vector.copy()
-        near[entry] += STEP
-        found = at(near)
-        if found is not None:
-            out[entry] = 0.5 * np.sum(known * (found - matrix)) / STEP
+    entries = entries[free[entries] > 0]
+    if len(entries) and others.any():
+        values, axes = np.linalg.eigh(inverse(matrix, others, LEAST))
+        factor = axes[:, values > 0] * np.sqrt(values[values > 0])
+        out[entries] = 0.5 * engine.information_change(vector, found, factor, entries)
     return out
 
 

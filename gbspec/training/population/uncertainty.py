@@ -9,7 +9,6 @@ the constants of trajectories that tell little, or do not differ, would seem to 
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from gbspec.arrays import Array
 from gbspec.training.population.layout import Layout
@@ -19,28 +18,16 @@ UNKNOWN = 1.0
 """A spread is taken to be known to such a factor e at least: where data leave open whether it is zero, its standard
 deviation on the scale of logarithms has any size, over which nothing is linear."""
 
-STEP, LONGEST = 0.1, 0.02
-"""The differences are over this many standard deviations of a combination of parameters, at most `LONGEST` on the
-scale on which they are trained."""
-
 
 def of_parameters(objective: Objective, point: Point, weights: Array, covariance: Array) -> Array:
     """The variance [N, q] of the distributed constants of trajectories due to the covariance [P, P] of u; parameters
     of which nothing is known, as of a spread that ended at zero, are left out."""
     known = np.flatnonzero(np.isfinite(np.diag(covariance)))
     limits = _limits(objective.layout, covariance)
-    values, vectors = np.linalg.eigh((covariance * np.outer(limits, limits))[np.ix_(known, known)])
-    total = np.zeros_like(_constants(objective, point.u, point.z, weights))
-    for variance, vector in zip(values, vectors.T, strict=True):
-        if not variance > 0:
-            continue
-        deviation = np.sqrt(variance)
-        change = np.zeros_like(point.u)
-        change[known] = min(STEP * deviation, LONGEST) * vector
-        above, below = (_constants(objective, point.u + sign * change, point.z, weights) for sign in (1, -1))
-        slope = (above - below) / (2 * min(STEP * deviation, LONGEST))
-        total += np.where(np.isfinite(slope), variance * slope**2, 0.0)
-    return total
+    limited = (covariance * np.outer(limits, limits))[np.ix_(known, known)]
+    slopes = objective.marginal.individual_slopes(point.u, weights, point.z)[..., known]
+    variance = np.einsum("nqp,pr,nqr->nq", slopes, limited, slopes)
+    return np.where(np.isfinite(variance), np.maximum(variance, 0.0), 0.0)
 
 
 def _limits(layout: Layout, covariance: Array) -> Array:
@@ -50,12 +37,3 @@ def _limits(layout: Layout, covariance: Array) -> Array:
     spreads = {name for each in made for name, _ in each.spreads}
     chosen = np.array([name in spreads for name in layout.names], dtype=bool)
     return np.where(chosen, np.minimum(1.0, UNKNOWN / np.maximum(deviation, 1e-300)), 1.0)
-
-
-def _constants(objective: Objective, u: Array, z: Array, weights: Array) -> Array:
-    """The distributed constants [N, q] at the modes that belong to u, sought from `z`."""
-    likelihood, layout = objective.marginal.likelihood, objective.layout
-    natural = layout.natural(objective.marginal.rows(u))
-    modes, _ = likelihood.modes(natural, torch.from_numpy(z), weights)
-    with torch.no_grad():
-        return layout.constants(natural, likelihood.groups.numbers(modes))[0].numpy()[:, layout.place]

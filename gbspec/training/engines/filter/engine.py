@@ -20,6 +20,7 @@ from gbspec.ir import METHODS, linear_in_states
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.filter.compiled import Advance, advance
 from gbspec.training.engines.filter.coordinates import Coordinates
+from gbspec.training.engines.filter.costates import Costates
 from gbspec.training.engines.filter.division import SHARE, Looked, Tolerance, refined, trimmed
 from gbspec.training.engines.filter.exact import Exact
 from gbspec.training.engines.filter.flows import Points, Stepped
@@ -278,11 +279,27 @@ class FilterEngine:
     def information(self, vector: Array, found: Filtered | None = None) -> Information:
         """The negative log likelihood at a vector with its gradient and expected information; `found` is the filter
         there, if it is known."""
-        theta, log_sd = self.layout.split(vector)
         found = self.filtered(vector) if found is None else found
         if not found.finite:
             return Information.none(self.layout)
-        at, legs, sums = At.of(self.layout, theta), self.legs, Sums(self.layout)
+        sums = Sums(self.layout)
+        for rows, _, readings, innovations in self._sensitivities(vector, found):
+            sums.add(self.problem.packed.row_trajectory[rows], innovations, readings.seen)
+        return sums.information(found.value)
+
+    def information_change(self, vector: Array, found: Filtered, factor: Array, entries: Integers) -> Array:
+        """The derivatives [m] of trace(F' H F) along the `entries`, which are sizes of disturbances and noises, for a
+        `factor` F [size, p] and the information H of means in the linear model that the filter has found."""
+        costates = Costates(self.layout, self.legs, found, entries, factor)
+        for rows, flows, readings, innovations in self._sensitivities(vector, found):
+            costates.add(self.problem.packed.row_trajectory[rows], flows, readings, innovations)
+        return costates.change(self.start(At.of(self.layout, self.layout.split(vector)[0]), True))
+
+    def _sensitivities(self, vector: Array, found: Filtered) -> Iterator[tuple[Integers, Flow, Reading, Innovations]]:
+        """Chunks of legs at the filter's moments, all with derivatives: the rows at their ends, flows, readings, and
+        innovations."""
+        theta, log_sd = self.layout.split(vector)
+        at, legs = At.of(self.layout, theta), self.legs
         moment = self.start(at, True)
         for chunk in self._chunks():
             index = np.arange(chunk.start, chunk.stop)
@@ -292,9 +309,7 @@ class FilterEngine:
             ends = index[place >= 0]
             readings = self.readings(at, log_sd, rows, Moment(found.end_mean[ends], found.end_cov[ends]), True)
             readings = replace(readings, seen=found.seen[rows])
-            innovations = self.advance(moment, legs.owner[index], flows, readings, place, None)
-            sums.add(self.problem.packed.row_trajectory[rows], innovations, readings.seen)
-        return sums.information(found.value)
+            yield rows, flows, readings, self.advance(moment, legs.owner[index], flows, readings, place, None)
 
     # ---------------------------------------------------------------- what follows from a filter
     def deviations(self, vector: Array, found: Filtered) -> Array:
