@@ -48,6 +48,32 @@ def test_the_size_of_an_unknown_comes_from_the_balances_of_measured_states(more:
     assert np.median(eliminated.outputs) == pytest.approx(0.4, rel=0.05)
 
 
+EPIDEMIC = """
+model epidemic
+time t
+state S in [0, 5e6]
+state I in [0, 1e5]
+unknown beta(t in [0, 280]) >= 0
+S' = -beta(t)*S*I/5e6
+I' = beta(t)*S*I/5e6 - 0.2*I
+initial S = 5e6 - 80
+initial I = 80
+observe weekly = 7*beta(t)*S*I/5e6 noise lognormal(0.08)
+"""
+
+
+def test_a_balance_of_unknown_terms_alone_does_not_say_that_these_are_zero() -> None:
+    """No state is measured: sizes follow from ranges, and from the other balance (true rates are 0.1 to 0.35)."""
+    model = model_of(EPIDEMIC)
+    t = np.linspace(7.0, 280.0, 40)
+    values = (1e3 + 50 * t)[:, None]
+    data = Trajectories((trajectory("1", 0.0, t, values, []),), ("weekly",))
+    context = build_context(model, load_module(model), data, TrainOptions(), 0)
+    scales = network_scales(model, eliminate(model, context.module, context.points, np.zeros(0)))
+    assert 0.05 < scales["network.beta.output_center"][0] < 1
+    assert 0.005 < scales["network.beta.output_scale"][0] < 1
+
+
 @pytest.mark.parametrize(
     ("state", "argument", "low", "high"),
     [(" in [-15, 25]", "", -15, 25), (" in [-15, 25]", " in [2, 4]", 2, 4), ("", "", -1, 1)],

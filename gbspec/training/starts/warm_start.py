@@ -74,20 +74,38 @@ class _Mismatch:
 
     `rough`: constants are not estimated, and all balances are used, for orders of magnitude: states without curves
     have a guess as their value, and a slope of zero, since on average a state of bounded range has that. The scale of
-    such a balance is the size of its terms without the networks; it counts less than those with a curve, so that it
-    decides only about outputs that these leave open.
+    such a balance is the size of its terms without the networks. One without such terms would only say that what is
+    unknown is zero: it has the size of its state over the time of the data as slope and scale. Either counts less than
+    those with a curve, so that it decides only about outputs that these leave open.
     """
 
     def __init__(self, model: Model, module: GeneratedModule, points: Points, start: Array, rough: bool) -> None:
         self.model, self.module, self.points, self.fixed = model, module, points, rough
         self.equations = list(range(len(model.states))) if rough else list(points.equations)
         self.free = _free_outputs(model, module, points, start)
-        scale = points.scale.copy()
+        scale, self.slope = points.scale.copy(), points.slope.copy()
         if rough:
             size = self._sizes(start)
             for i in set(self.equations) - set(points.rough):
-                scale[i] = LESSER * (size[i] if np.isfinite(size[i]) and size[i] > 0 else 1.0)
+                known = np.isfinite(size[i]) and size[i] > 0
+                scale[i] = LESSER * (size[i] if known else self._rate(i))
+                self.slope[:, i] = self.slope[:, i] if known else self._signed(i, start) * self._rate(i)
         self.scale = torch.from_numpy(scale[self.equations])
+
+    def _rate(self, state: int) -> float:
+        """The size of a state over the time of the data: of its range, or of its values at the points."""
+        bounds, t = self.model.states[state].range, self.points.t
+        width = (bounds.high - bounds.low) / np.sqrt(12) if bounds is not None and bounds.bounded else 0.0
+        size = width or float(np.abs(self.points.x[:, state]).max(initial=0.0)) or 1.0
+        return size / (float(np.ptp(t)) or 1.0) if len(t) else size
+
+    def _signed(self, state: int, u: Array) -> float:
+        """The sign of a balance that consists of unknown terms, where these are positive."""
+        self.free.values = torch.ones((len(self.points), len(self.free.neutral)), dtype=torch.float64)
+        with torch.no_grad():
+            k = _constants_at(self.model, torch.from_numpy(u), len(self.points))
+            found = evaluate_rhs(self.model, self.module, self.points, k, self.free.functions())[:, state]
+        return -1.0 if float(found.sum()) < 0 else 1.0
 
     def _sizes(self, u: Array) -> Array:
         """The root mean square of each right-hand side [n_states], with the networks' outputs neutral."""
@@ -103,7 +121,7 @@ class _Mismatch:
         k = _constants_at(self.model, torch.from_numpy(u), len(self.points)).detach().requires_grad_(derivatives)
         self.free.values = o = torch.from_numpy(outputs).clone().requires_grad_(derivatives)
         rhs = evaluate_rhs(self.model, self.module, self.points, k, self.free.functions())
-        return (rhs - torch.from_numpy(self.points.slope))[:, self.equations] / self.scale, o, k
+        return (rhs - torch.from_numpy(self.slope))[:, self.equations] / self.scale, o, k
 
     def weights(self, r: Array, sd: float) -> tuple[Array, float]:
         """The weights [M, E] of a mismatch, and its objective: Cauchy's, without influence of outliers; for orders of
