@@ -300,9 +300,11 @@ def _channels(members: Sequence[MemberRecord]) -> str:
             shown = ["-" if count is None else str(count), number(weight, 3)]
             predictor = found.predictor if found is not None else ""
             rows.append([str(i), name, number(rmse, 5), *map(share, known), predictor or "-", *shown])
+    # The filter of a model with disturbances begins each prediction at the row before.
+    filtered = any(member.likelihood is not None for member in members)
     header = [
         "member",
-        "whole solutions",
+        "one row ahead" if filtered else "whole solutions",
         "rmse",
         "R²",
         "naive R²",

@@ -59,7 +59,8 @@ def test_balls_at_rest_are_endless() -> None:
 def test_an_event_that_never_happens_is_told_with_what_it_alone_depends_on() -> None:
     engine, theta = ball(CAUGHT)
     assert said_of_events(engine, theta, None) == [
-        "the event `catch` never happens in the fitted solutions, so that the data say nothing about `c`"
+        "the event `catch` never happens in the fitted solutions, so that nothing moves `c` from where the fit began: "
+        "if the event happens in the data, begin where the solutions reach it (other starting values or bounds)"
     ]
 
 

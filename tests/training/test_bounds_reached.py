@@ -86,6 +86,14 @@ def test_an_interval_that_covers_the_bounds_is_said_to_tell_nothing(
     assert all("`k` is not determined" in text for text in found)
 
 
+def test_a_constant_at_its_bound_is_not_said_to_be_undetermined(tmp_path: Path) -> None:
+    """Its standard deviation is small; on the logistic scale of the bounds it is huge, and the interval covers them."""
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k = 0.3 in [0.05, 0.6]"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    (said,) = undetermined(model, {"k": ConstantRecord(0.59961, 0.004, (0.05004, 0.6), 0.59961, (0.59961,), None)})
+    assert "`k` lies at its bound 0.6" in said and "not determined" not in said
+
+
 def test_a_fit_says_that_its_constant_is_not_determined(tmp_path: Path) -> None:
     """Noise hides all that these times tell of k, whose best value is 1."""
     (tmp_path / "m.gb").write_text(TEXT)

@@ -9,14 +9,14 @@ import pytest
 
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.runs import ChannelRecord, StageRecord
+from gbspec.runs import ChannelRecord, LikelihoodRecord, NoiseRecord, StageRecord, WhitenessRecord
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
 from gbspec.training.profile.likelihood import profile_constant
 from gbspec.training.runs.fit import warnings_of
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import above_stated, autocorrelations, verdicts, widening
+from gbspec.training.runs.verdict import above_stated, autocorrelations, innovations, verdicts, widening
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -181,6 +181,34 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     text = f"{model.text}learn s_x : K/h^0.5 = 0.1 > 0\ndiffusion x = s_x\n"
     (said,) = autocorrelations(followed, model_of(text), {})
     assert "lacks more" in said
+
+
+def test_all_channels_with_autocorrelated_residuals_are_offered_a_disturbance() -> None:
+    model = model_of("model m\nstate x = 1\nstate y = 1\nlearn k = 1\nx' = -k*x\ny' = x - y\nobserve x\nobserve y\n")
+    one = ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)
+    (said,) = autocorrelations({"x": one, "y": one}, model, {"x": 0.1, "y": 2.0})
+    assert "`diffusion x = s_x`" in said and "`learn s_y = 2 > 0` and `diffusion y = s_y`" in said
+
+
+def test_models_with_events_are_not_offered_a_disturbance() -> None:
+    """`check` refuses both in one model (GB351)."""
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nevent e when x <= 0.5: x = 1\nobserve x\n")
+    (said,) = autocorrelations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}, model, {"x": 0.1})
+    assert "diffusion" not in said
+
+
+@pytest.mark.parametrize(("p", "said"), [(1e-20, True), (0.09, False), (None, False)])
+def test_innovations_that_are_not_independent_are_told(p: float | None, said: bool) -> None:
+    white = WhitenessRecord(336, 20, 100.0, 1e-30, 0.1, 0.1, p) if p else WhitenessRecord(3, 0, None, None, None, None)
+    likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {"x": NoiseRecord(0.08, 0.1, (0.07, 0.1))}, {"x": white})
+    found = innovations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.3, pairs=300)}, likelihood)
+    assert len(found) == said and all("`d' = -d/tau`" in text for text in found)
+
+
+def test_a_learned_noise_that_went_to_zero_is_told() -> None:
+    likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {"x": NoiseRecord(2.4e-6, None, None)}, {})
+    (said,) = innovations({}, likelihood)
+    assert "`x` (2.4e-06)" in said and "`noise normal(…)`" in said
 
 
 def test_autocorrelated_residuals_of_a_population_are_not_said_to_widen_its_intervals() -> None:

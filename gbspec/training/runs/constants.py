@@ -141,6 +141,10 @@ def at_bounds(
     return out
 
 
+NARROW = 0.1
+"""A standard deviation below this share of the bounds' width is not that of a constant which the data do not show."""
+
+
 def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
     """A warning for each constant whose interval covers its bounds: its value and its standard deviation, which holds
     near the value alone, may seem to say more."""
@@ -151,7 +155,17 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
             continue
         ends = np.array([*record.interval, bounds.low, bounds.high])
         low, high, least, most = np.log(np.abs(ends)) if bounds.logarithmic else ends
-        if abs(high - low) >= COVERED * abs(most - least):
+        if abs(high - low) < COVERED * abs(most - least):
+            continue
+        near = min((bounds.low, bounds.high), key=lambda bound: abs(record.value - bound))
+        sd = record.sd / abs(record.value) if bounds.logarithmic and record.sd and record.value else record.sd
+        if sd is not None and sd < NARROW * abs(most - least) and abs(record.value - near) < 3 * (record.sd or 0.0):
+            out.append(
+                f"`{learnable.name}` lies at its bound {near:g}, within its standard deviation of {record.sd:.2g}; its "
+                "interval, which cannot leave the bounds, says nothing there: widen the bounds if values beyond are "
+                "plausible, else the model or another constant is not what it should be"
+            )
+        else:
             out.append(
                 f"`{learnable.name}` is not determined by these data: its 90 % interval, {record.interval[0]:.4g} to "
                 f"{record.interval[1]:.4g}, covers its bounds. Give it a value (`const`) or a prior if something is "

@@ -53,6 +53,7 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import (
     above_stated,
     autocorrelations,
+    innovations,
     inseparable,
     inseparable_by_one,
     outlying,
@@ -440,6 +441,8 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
 def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
     """What is said of outliers and autocorrelated residuals, also of a fit without intervals, since it did not rest."""
     far = outlying(result.channels, model, result.rmse)
+    if result.likelihood is not None:
+        return [*far, *innovations(result.channels or {}, result.likelihood)]
     if not result.sd or any(np.isfinite(sd) for sd in result.sd.values()):
         return [*far, *autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:

@@ -33,7 +33,12 @@ def said_of_events(engine: Engine, theta: Array, covariance: Covariance | None) 
 def _never(model: Model, event: Event) -> str:
     """The sentence for an event that does not happen."""
     only = ", ".join(f"`{name}`" for name in only_in(model, event))
-    of_constants = f", so that the data say nothing about {only}" if only else ""
+    of_constants = (
+        f", so that nothing moves {only} from where the fit began: if the event happens in the data, begin where the "
+        "solutions reach it (other starting values or bounds)"
+        if only
+        else ""
+    )
     return f"the event `{event.name}` never happens in the fitted solutions{of_constants}"
 
 

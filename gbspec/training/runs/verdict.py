@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import ChannelRecord
+from gbspec.runs import ChannelRecord, LikelihoodRecord
 from gbspec.training.problem import share_that_counts
 
 WORTHWHILE = 0.1
@@ -25,6 +25,10 @@ VISIBLE = 1e-4
 
 ABOVE = 2.0
 """Residuals that are this many times as large as the noise that the model states are not that noise."""
+
+COLOURED = 1e-3
+"""Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
+smaller probability."""
 
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
@@ -116,6 +120,32 @@ def autocorrelations(
     ]
 
 
+def innovations(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord) -> list[str]:
+    """Warnings of a fit with disturbances: innovations that are not independent, and noises that ended at zero."""
+    out, following = [], _following(channels)
+    tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
+    coloured = [name for name, p in tested.items() if name in following or (p is not None and p < COLOURED)]
+    if coloured:
+        listed = ", ".join(f"`{name}` (probability {_rounded_p(tested.get(name))})" for name in coloured)
+        out.append(
+            f"the innovations of {listed} are not independent: what disturbs the system lasts longer than the time "
+            "between two measurements, or the model lacks something. Intervals are too narrow then, and predictions "
+            "of many rows poor. What may help: a disturbance with a memory (`state d = 0`, `d' = -d/tau`, `diffusion "
+            "d = s_d`, `learn tau` and `s_d`, and `d` in the balance), another `diffusion`, or an unknown function"
+        )
+    gone = [f"`{name}` ({one.value:.2g})" for name, one in likelihood.noise.items() if one.interval is None]
+    if gone:
+        out.append(
+            f"the learned noise of {', '.join(gone)} has gone to zero: all that measurements scatter is taken for a "
+            "disturbance. If the noise is known, state it: `noise normal(…)`"
+        )
+    return out
+
+
+def _rounded_p(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.1g}"
+
+
 _OVERSTATED = "the likelihood takes them for independent nevertheless, so that its intervals are too narrow"
 
 
@@ -145,16 +175,19 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
         return ". What may help: further constants that differ between trajectories, or another model"
     if model.diffusions:
         return ". The model lacks more: another state, another `diffusion`, or an unknown function"
-    channel = next((c for c in model.channels if c.name in found and c.state is not None), None)
-    if channel is None or channel.state is None:
+    if model.events or model.delays:  # nor with these
+        return ". What may help: another state, an unknown function, or another model"
+    measured = {c.state: c.name for c in model.channels if c.name in found and c.state is not None}
+    if not measured:
         return ". The statement `diffusion` describes random disturbances of states between measurements"
-    state, time = model.states[channel.state], model.time.unit
-    unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
-    start = _rounded(rmse.get(channel.name, 0.0))
-    return (
-        f". To describe disturbances of `{state.name}`, add the lines `learn s_{state.name}{unit} = {start} > 0` and "
-        f"`diffusion {state.name} = s_{state.name}`"
-    )
+    lines, names, time = [], [], model.time.unit
+    for index, channel in measured.items():
+        state = model.states[index]
+        unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
+        start = _rounded(rmse.get(channel, 0.0))
+        lines.append(f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = s_{state.name}`")
+        names.append(f"`{state.name}`")
+    return f". To describe disturbances of {' and '.join(names)}, add the lines {', '.join(lines)}"
 
 
 def _rounded(size: float) -> str:
