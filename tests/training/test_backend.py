@@ -156,3 +156,13 @@ def weights(run: Path) -> dict[str, Any]:
     from gbspec.runs import files
 
     return files.read_tensors(files.member_directory(run, 0) / files.WEIGHTS)[0]
+
+
+@pytest.mark.usefixtures("compiler")
+def test_whole_solutions_that_take_long_by_the_graph_spare_its_jacobian(tmp_path: Path, clock: Clock) -> None:
+    clock.torch = 1e3
+    more = {"method": "auto", "warm_start": True, "stages": "teacher forcing; autoregressive"}
+    found, messages = fitted(tmp_path / "run", **more)
+    assert found is not None and found.used == "native"
+    assert "more than" in messages[0]
+    assert clock.made[0] == "torch" and clock.made[1] == "native", "one engine of the graph alone"

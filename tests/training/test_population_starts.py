@@ -40,6 +40,13 @@ def test_the_kernel_is_worth_its_compilation_for_a_population(tmp_path: Path) ->
     assert [choice.few(one, TrainOptions(), 10) for one in (alone, model)] == [True, False]
 
 
+def test_effects_beside_a_network_are_pooled(tmp_path: Path) -> None:
+    """Free ones would let their factor run to its bound before the marginal likelihood begins."""
+    text = KNOWN.replace("-k*exp(s*e)*x", "-exp(s*e)*f(x)").replace("learn k = 0.5 in [0.01, 5]", "unknown f(x)")
+    pooled = pooled_model(model_of(text, tmp_path))
+    assert [k.per_trajectory for k in pooled.learnables if k.name == "e"] == [False]
+
+
 @pytest.mark.usefixtures("quick_fit")
 def test_a_network_learns_to_depend_on_its_effect(tmp_path: Path) -> None:
     """Rates differ by a factor of 4 between trajectories, which only the network's effect can explain."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -181,6 +182,14 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     text = f"{model.text}learn s_x : K/h^0.5 = 0.1 > 0\ndiffusion x = s_x\n"
     (said,) = autocorrelations(followed, model_of(text), {})
     assert "lacks more" in said
+
+
+def test_a_good_fit_of_data_that_a_line_follows_too_is_not_doubted() -> None:
+    """Logarithms of a bolus in one compartment are a straight line."""
+    white = ChannelRecord(0.998, 0.998, "a straight line", autocorrelation=0.1, pairs=80)
+    assert not verdicts({"x": white})
+    assert verdicts({"x": replace(white, autocorrelation=0.9)})
+    assert verdicts({"x": replace(white, r2=0.2, naive=0.2)})
 
 
 def test_all_channels_with_autocorrelated_residuals_are_offered_a_disturbance() -> None:

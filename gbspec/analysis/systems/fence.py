@@ -38,6 +38,8 @@ NEIGHBOURS = 2
 """A row has one neighbour on either side."""
 EDGE = 0.01
 """The share of the arguments left out at either end when the width of their range is measured."""
+REPLICATE = 1e-9
+"""Arguments closer than this, in widths, are the same."""
 LOOKED_AT = 400
 """Training arguments from which the limit is computed."""
 
@@ -77,7 +79,8 @@ class Fence:
         chosen = np.unique(np.linspace(0, len(scaled) - 1, min(len(scaled), LOOKED_AT)).astype(int))
         distance = np.linalg.norm(scaled[chosen, None] - scaled[None], axis=2)
         same = self.owner[chosen][:, None] == self.owner[None]
-        others = np.where(same, np.inf, distance).min(axis=1)
+        # Replicates, with the same arguments, do not tell how far apart the data are.
+        others = np.where(same | (distance < REPLICATE), np.inf, distance).min(axis=1)
         own = np.sort(np.where(same, distance, np.inf), axis=1)[:, : NEIGHBOURS + 1]
         return _usual(others), _usual(own[:, -1])
 

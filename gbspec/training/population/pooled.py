@@ -2,8 +2,9 @@
 
 The pooled model has the medians in place of the constants, 0 in place of effects, and no spreads; its least squares
 give the medians and the weights from which the marginal likelihood is maximised, and its residuals the first noises.
-With networks, effects are estimated for each trajectory, with a standard normal prior: where a network does not depend
-on its effect, the marginal likelihood has by symmetry no slope along that dependence, and would never find it.
+Effects that are arguments of networks are estimated for each trajectory, with a standard normal prior: where a network
+does not depend on its effect, the marginal likelihood has by symmetry no slope along that dependence, and would never
+find it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import sympy
 import torch
+from sympy.core.function import AppliedUndef
 
 from gbspec.arrays import Array
 from gbspec.ir import Learnable, Model, Prior, Range
@@ -31,15 +34,23 @@ OF_RESIDUALS = 0.7
 
 def pooled_model(model: Model) -> Model:
     """The model in which all trajectories have the same constants."""
+    inside = _in_arguments(model)
     return replace(
-        model, learnables=tuple(_pooled(k, bool(model.networks)) for k in model.learnables), implied=(), correlated=()
+        model, learnables=tuple(_pooled(k, k.symbol in inside) for k in model.learnables), implied=(), correlated=()
     )
 
 
-def _pooled(learnable: Learnable, networks: bool) -> Learnable:
+def _in_arguments(model: Model) -> set[sympy.Basic]:
+    """The symbols in the arguments of unknown functions."""
+    values = [*model.balances, *(channel.value for channel in model.channels), *(e.residual for e in model.constraints)]
+    calls = {call for value in model.inlined(values) for call in value.atoms(AppliedUndef)}
+    return {symbol for call in calls for argument in call.args for symbol in argument.free_symbols}
+
+
+def _pooled(learnable: Learnable, argument: bool) -> Learnable:
     if learnable.distribution is None:
         return learnable
-    if learnable.distribution.kind == "standard" and networks:
+    if learnable.distribution.kind == "standard" and argument:
         prior = Prior("normal", 0.0, 1.0)
         return replace(learnable, distribution=None, range=Range(-FAR, FAR), prior=prior)
     if learnable.distribution.kind == "standard":

@@ -20,6 +20,9 @@ from gbspec.training.stages import StageName
 
 COMPILATION = 3.0
 """Seconds that the compilation of a kernel takes; it is not worth it for a fit that the torch graph does in less."""
+LONGEST = 60.0
+"""Where whole solutions alone would take the torch graph so many seconds, its Jacobian, which takes far longer, is not
+measured, and the kernel is used."""
 PREPARATION = 1.0
 """Seconds that the first run of an engine spends at most on preparations."""
 
@@ -53,37 +56,47 @@ def faster_backend(
     # Networks have the scales of their arguments, since without them solutions may take far more steps.
     parameters, theta = initial(context)
     stages = plan(context, parameters)
-    by_torch = expected_seconds(context, context.choice, parameters, theta, stages)
+    by_torch = expected_seconds(context, context.choice, parameters, theta, stages, WHOLE)
+    long = by_torch > LONGEST
+    if not long:
+        by_torch += expected_seconds(context, context.choice, parameters, theta, stages, INTERVALS)
     if by_torch <= COMPILATION:
         return None
     other = choose(model, module, options, context.packed().substeps, worthwhile=True)
     if other.kernel is None:
         progress.message(other.remark)
         return None
-    by_kernel = expected_seconds(context, other, parameters, theta, stages)
-    found = BackendRecord("native" if by_kernel < by_torch else "torch", by_torch, by_kernel)
+    by_kernel = sum(expected_seconds(context, other, parameters, theta, stages, kind) for kind in (INTERVALS, WHOLE))
+    found = BackendRecord("native" if long or by_kernel < by_torch else "torch", by_torch, by_kernel)
     name = "compiled kernel" if found.used == "native" else "torch graph"
     progress.message(
-        f"the {name} is used: measured for a moment, a fit would take about {by_torch:.2g} s by the torch graph and "
-        f"{by_kernel:.2g} s by the kernel"
+        f"the {name} is used: measured for a moment, a fit would take {'more than' if long else 'about'} "
+        f"{by_torch:.2g} s by the torch graph and {by_kernel:.2g} s by the kernel"
     )
     return found
 
 
 def expected_seconds(
-    context: Context, choice: Choice, parameters: Parameters, theta: Array, stages: Iterable[Planned]
+    context: Context,
+    choice: Choice,
+    parameters: Parameters,
+    theta: Array,
+    stages: Iterable[Planned],
+    kind: frozenset[StageName],
 ) -> float:
-    """The seconds that the iterations of a usual fit take, from one Jacobian and one whole solution.
+    """The seconds that the iterations of the stages of a `kind` take in a usual fit: those of `INTERVALS` from one
+    Jacobian, those of `WHOLE` from one whole solution.
 
     Whole solutions are only compared with the data here: their Jacobian costs as much as that of the intervals.
     """
-    counts = {kind: sum(stage.total for stage in stages if stage.name in kind) for kind in (INTERVALS, WHOLE)}
-    intervals = choice.engine(context.problem(context.options.blend), parameters)
-    seconds = counts[INTERVALS] / 2 * _shortest(lambda: linearise(intervals, theta))
-    if counts[WHOLE]:
+    count = sum(stage.total for stage in stages if stage.name in kind)
+    if not count:
+        return 0.0
+    if kind is WHOLE:
         whole = choice.engine(context.problem(0.0), parameters)
-        seconds += counts[WHOLE] * _shortest(lambda: predicted(whole, theta))
-    return seconds
+        return count * _shortest(lambda: predicted(whole, theta))
+    intervals = choice.engine(context.problem(context.options.blend), parameters)
+    return count / 2 * _shortest(lambda: linearise(intervals, theta))
 
 
 def _shortest(work: Callable[[], object]) -> float:

@@ -177,6 +177,7 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
 def ended_at_bounds(ended: Iterable[tuple[int, str, float]]) -> list[str]:
     """A warning for each constant of a member that ended at a bound."""
     return [
-        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
+        f"member {member}: `{name}` ended at its bound {bound:g}; "
+        + ("the data do not need it" if not bound else "widen the bounds if values beyond it are plausible")
         for member, name, bound in ended
     ]

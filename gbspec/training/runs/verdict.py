@@ -15,6 +15,9 @@ from gbspec.training.problem import share_that_counts
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
 
+GOOD = 0.9
+"""A fit that explains more than this, and leaves nothing but noise, is not doubted because a simple curve does too."""
+
 AUTOCORRELATED = 0.5
 """Residuals whose correlation with the next ones is above this, by twice its standard error, are no noise of
 measurement."""
@@ -47,6 +50,8 @@ def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) 
     out = []
     for name, found in channels.items():
         if found.r2 is None or found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
+            continue
+        if found.r2 > GOOD and found.autocorrelation is not None and name not in _following(channels):
             continue
         compared = "worse than" if found.r2 < found.naive else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
@@ -81,11 +86,16 @@ def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: M
         if found is None or not found.outliers or found.r2 is None or 1 - found.r2 <= EXACT:
             continue
         name, start = channel.name, _rounded(0.3 * rmse.get(channel.name, math.nan))
+        # Not offered together with events and delays.
+        student = (
+            ""
+            if model is None or model.events or model.delays
+            else (f", or write `observe {name} … noise student(s_{name}, 4)` with `learn s_{name} = {start} > 0`")
+        )
         out.append(
             f"{found.outliers} of {found.values} residuals of `{name}` are far from all others, and leave most of the "
             "sum of squares: they are outliers, or rows that the model does not follow. As outliers they move the fit "
-            f"and widen its intervals: leave these cells empty, or write `observe {name} … noise student(s_{name}, 4)` "
-            f"with `learn s_{name} = {start} > 0`"
+            f"and widen its intervals: leave these cells empty{student}"
         )
     return out
 
