@@ -16,7 +16,7 @@ from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
 from gbspec.training.profile.likelihood import profile_constant
 from gbspec.training.runs.fit import warnings_of
-from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.summary import MemberResult, _r2
 from gbspec.training.runs.verdict import above_stated, autocorrelations, innovations, verdicts, widening
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
@@ -278,3 +278,16 @@ def test_residuals_that_are_no_stated_noise_are_told(noise: str, found: float, s
     text = "".join(above_stated({"x": found}, model))
     assert bool(text) == bool(said)
     assert said in text
+
+
+def test_predictions_of_zero_in_logarithms_have_a_bad_figure_and_not_none() -> None:
+    """Without a figure the verdict on the fit would be left out."""
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x noise lognormal(0.1)\n")
+    t = np.linspace(0.0, 2.0, 9)
+    data = Trajectories((trajectory("1", 0.0, t, np.exp(-t)[:, None], []),), ("x",))
+    problem, _, _ = problem_of(model, data, 0.1)
+    mean = problem.packed.values.copy()  # [R, 1]
+    assert _r2(problem, mean, 0) == pytest.approx(1)
+    mean[np.flatnonzero(problem.valued[:, 0])[:2], 0] = 0.0, -1e-3
+    found = _r2(problem, mean, 0)
+    assert found is not None and found < -100

@@ -35,6 +35,7 @@ from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe import build_context, check_disturbed, check_limits, chosen_solver, plan, solver_of
+from gbspec.training.runs import verdict
 from gbspec.training.runs.absent import without_data
 from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
@@ -50,16 +51,6 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import (
-    above_stated,
-    autocorrelations,
-    innovations,
-    inseparable,
-    inseparable_by_one,
-    outlying,
-    unrested,
-    verdicts,
-)
 from gbspec.training.stages import most_iterations
 from gbspec.training.starts import earlier
 from gbspec.version import __version__
@@ -201,8 +192,8 @@ class Fitting:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
             self.record = completed(self.record, self.model, self.results, self.options)
-            by_one = inseparable_by_one(self.model) if len(self.trajectories) == 1 else []
-            known = (*inseparable(self.model), *by_one, *self._remarks)
+            by_one = verdict.inseparable_by_one(self.model) if len(self.trajectories) == 1 else []
+            known = (*verdict.inseparable(self.model), *by_one, *self._remarks)
             self.record = replace(self.record, warnings=(*known, *self.record.warnings))
             ended = len(self.results) + len(self.failures) == self.options.members
             finished = ended and all(result.finished for result in self.results.values())
@@ -427,8 +418,8 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these trajectories do not count as fitted"
             )
-        left = [*verdicts(result.channels, model), *_of_residuals(result, options, model)]
-        left += above_stated(result.noise, model) if model is not None else []
+        left = [*verdict.verdicts(result.channels, model), *_of_residuals(result, options, model)]
+        left += verdict.above_stated(result.noise, model) if model is not None else []
         out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
@@ -440,13 +431,13 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
 
 def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
     """What is said of outliers and autocorrelated residuals, also of a fit without intervals, since it did not rest."""
-    far = outlying(result.channels, model, result.rmse)
+    far = verdict.outlying(result.channels, model, result.rmse)
     if result.likelihood is not None:
-        return [*far, *innovations(result.channels or {}, result.likelihood)]
+        return [*far, *verdict.innovations(result.channels or {}, result.likelihood)]
     if not result.sd or any(np.isfinite(sd) for sd in result.sd.values()):
-        return [*far, *autocorrelations(result.channels, model, result.rmse)]
+        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []
     full = [one for one in result.stages if one.iterations == most_iterations(one.name, options.effort) > 1]
     last = f" (`{full[-1].name}` ended after its {full[-1].iterations} iterations)" if full else ""
-    return [*far, *unrested(result.channels, last)]
+    return [*far, *verdict.unrested(result.channels, last)]

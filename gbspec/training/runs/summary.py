@@ -206,8 +206,9 @@ def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
     seen = problem.valued[:, channel]
     values, predictions = problem.packed.values[seen, channel], mean[seen, channel]
     if problem.scaling.log[channel]:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            values, predictions = np.log(values), np.log(predictions)
+        # A prediction of zero or less is as bad as it can be, and no reason to leave the verdict out.
+        with np.errstate(invalid="ignore"):
+            values, predictions = np.log(values), np.log(np.maximum(predictions, np.finfo(np.float64).tiny))
     variance = variance_of([values])
     if not variance > 0:
         return None
