@@ -1,11 +1,11 @@
-"""Models with random disturbances: sets with known truth, a measured room, and measured populations.
+"""Models with random disturbances: sets with known truth, and a measured room.
 
     python -m benchmarks.studies.disturbances DATA -o OUT --parts process,lotka_volterra,friction_oscillator --sets 100
     python -m benchmarks.studies.disturbances DATA -o OUT --parts friction_oscillator_score --sets 40
-    python -m benchmarks.studies.disturbances DATA -o OUT --parts flexhouse,hare_lynx
+    python -m benchmarks.studies.disturbances DATA -o OUT --parts flexhouse
     python -m benchmarks.studies.disturbances DATA -o OUT --table docs/studies/disturbances.md
 
-DATA is a folder with flexhouse.csv and hare_lynx.csv. A set is simulated and fitted with the defaults; its row is added
+DATA is a folder with flexhouse.csv. A set is simulated and fitted with the defaults; its row is added
 to OUT/sets.csv as soon as its fit is done, and the same command run again continues with the missing ones. Fits of
 measured data are runs in OUT, which are not fitted again. MODEL_score is the score of so many sets together at the
 truth: one step of the fit's method from there, which shows a bias of the likelihood in a fraction of the time of fits.
@@ -45,24 +45,6 @@ ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_clouds", "flexhouse_aper
 SWITCH, LONGEST = 2.5, 0.67
 """A change of the heater's power by more is a switch (kW); times since the last one are at most so long (h)."""
 FIELDS = ("model", "set", "constant", "truth", "value", "sd", "low", "high", "seconds")
-HARES = """model hare_lynx_disturbed "Hare and lynx, Lotka and Volterra, both disturbed"
-time year
-state hare in [1, 200] = 30
-state lynx in [1, 200] = 10
-learn a = 0.5 in [0.01, 5]
-learn b = 0.025 in [0.001, 1]
-learn c = 0.8 in [0.01, 5]
-learn d = 0.025 in [0.001, 1]
-learn sh = 0.2 in [0, 2]
-learn sl = 0.2 in [0, 2]
-hare' = a*hare - b*hare*lynx
-lynx' = d*hare*lynx - c*lynx
-diffusion hare = sh*hare
-diffusion lynx = sl*lynx
-observe hare noise lognormal(0.1)
-observe lynx noise lognormal(0.1)
-"""
-FOLDS = 5
 
 
 def simulated(names: Sequence[str], count: int, out: Path) -> None:
@@ -222,59 +204,6 @@ def _best_start(engine: object, vector: np.ndarray, filtered: object) -> float:
     return -moved.value(vector)
 
 
-def hares(data: Path, out: Path) -> None:
-    """Held-out blocks of years: predictions from the year before, by fits without the block."""
-    from gbspec.data import read
-    from gbspec.diagnostics import Findings
-    from gbspec.frontend import load_model
-    from gbspec.training import TrainOptions, filter_run, train
-
-    path = out / "hares.gb"
-    path.write_text(HARES, encoding="utf-8")
-    lines = (data / "hare_lynx.csv").read_text(encoding="utf-8").replace("trajectory,t,", "trajectory,year,").split()
-    head, body = lines[0], lines[1:]
-    (out / "hares.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    model = load_model(path, Findings())
-    whole = read(out / "hares.csv", model, Findings())
-    errors: dict[str, list[tuple[float, float, float, float]]] = {"1": []}
-    for fold, block in enumerate(np.array_split(np.arange(len(body)), FOLDS)):
-        kept = [line if k not in block else ",".join([*line.split(",")[:2], "", ""]) for k, line in enumerate(body)]
-        part = out / f"hares_{fold}.csv"
-        part.write_text("\n".join([head, *kept]) + "\n", encoding="utf-8")
-        place = out / f"hares_{fold}"
-        if not (place / "fit.json").is_file():
-            train(model, read(part, model, Findings()), TrainOptions(), place)
-        from gbspec.runs import open_run
-
-        filtered = filter_run(open_run(place), whole, 0)
-        values = filtered.engine.noise.value[block]
-        mean, sd = _row_moments(filtered.engine, filtered.found, block)
-        e = values - mean
-        inside = np.abs(e) < 1.645 * sd
-        errors["1"] += [(*row, *mark) for row, mark in zip(e.tolist(), inside.tolist(), strict=True)]
-    document = {}
-    for name, rows in errors.items():
-        table = np.array(rows, dtype=np.float64)
-        document[name] = {
-            channel: {"rmse": float(np.sqrt(np.mean(table[:, j] ** 2))), "covered": float(table[:, 2 + j].mean())}
-            for j, channel in enumerate(("hare", "lynx"))
-        }
-    (out / "hares.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-
-
-def _row_moments(engine: object, found: object, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Predicted logarithms of both channels at rows, before their measurements, and standard deviations of these."""
-    from gbspec.training.engines import Filtered, FilterEngine
-
-    assert isinstance(engine, FilterEngine)
-    assert isinstance(found, Filtered)
-    leg = np.zeros(engine.problem.packed.rows, dtype=np.int64)
-    ends = np.flatnonzero(engine.legs.row >= 0)
-    leg[engine.legs.row[ends]] = ends
-    cov = np.diagonal(found.end_cov[leg[rows]], axis1=1, axis2=2)
-    return found.end_mean[leg[rows]], np.sqrt(cov + engine.noise.fixed[rows].max())
-
-
 def table(out: Path) -> str:
     """The page."""
     lines = ["# Random disturbances", ""]
@@ -304,7 +233,7 @@ def table(out: Path) -> str:
                 f"| {model} | {len(mine)} | {constant} | {truth} | {value.mean():.4g} | {bias:+.2f} | {z:.2f} "
                 f"| {100 * inside:.0f} % | {seconds:.0f} |"
             )
-    lines += [*_rooms_table(out), *_hares_table(out)]
+    lines += _rooms_table(out)
     return "\n".join(lines) + "\n"
 
 
@@ -340,21 +269,6 @@ def _rooms_table(out: Path) -> list[str]:
     return lines
 
 
-def _hares_table(out: Path) -> list[str]:
-    if not (out / "hares.json").is_file():
-        return []
-    found = json.loads((out / "hares.json").read_text(encoding="utf-8"))
-    lines = ["", "hare_lynx.csv, five held-out blocks of years, Lotka and Volterra's terms: errors of logarithms of "]
-    lines[-1] += "predictions from the year before, by fits without the block; share of 90 % intervals. Over the whole "
-    lines[-1] += "block, from the years before and after it: [real data](real_data.md)."
-    lines += ["", "| rows ahead | channel | rmse of logarithms | inside |", "|---|---|---:|---:|"]
-    for steps, channels in found.items():
-        lines += [
-            f"| {steps} | {name} | {one['rmse']:.3f} | {100 * one['covered']:.0f} % |" for name, one in channels.items()
-        ]
-    return lines
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -374,8 +288,6 @@ def main() -> None:
             score(part.removesuffix("_score"), given.sets, given.out)
         elif part == "flexhouse":
             rooms(given.data, given.out, [name for name in ROOMS if (HERE / f"{name}.gb").is_file()])
-        elif part == "hare_lynx":
-            hares(given.data, given.out)
         else:
             raise SystemExit(f"there is no part `{part}`")
     if given.table is not None:

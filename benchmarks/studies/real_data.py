@@ -90,10 +90,11 @@ def judged(name: str, data: Path, out: Path, options: TrainOptions) -> CrossVali
 
 
 def rows_of(name: str, found: CrossValidation) -> list[str]:
-    """A line of the table for each channel."""
+    """A line of the table for each channel, and another one for predictions from the row before."""
     return [
-        f"| {name} | {channel} | {one.n} | {one.nrmse:.3f} | {one.rmse_log:.3f} | {100 * one.covered:.0f} % |"
-        for channel, one in found.total.items()
+        f"| {title} | {channel} | {one.n} | {one.nrmse:.3f} | {one.rmse_log:.3f} | {100 * one.covered:.0f} % |"
+        for title, errors in ((name, found.total), (f"{name}, one row ahead", found.ahead))
+        for channel, one in errors.items()
     ]
 
 

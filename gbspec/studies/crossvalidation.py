@@ -23,7 +23,7 @@ from gbspec.frames import Tabled, of_rows
 from gbspec.json_values import JsonObject
 from gbspec.runs import OMITTED, JsonError, decode, encode, files, locked, read_object
 from gbspec.studies.folds import Fold, Over, folds, way
-from gbspec.studies.heldout import Errors, Point, errors, held_out
+from gbspec.studies.heldout import Errors, Point, errors, errors_one_ahead, held_out
 
 if TYPE_CHECKING:
     import polars as pl
@@ -68,7 +68,11 @@ class CrossOptions:
 
 @dataclass(frozen=True, repr=False)
 class CrossValidation(Tabled):
-    """Errors of each fold and of all held-out measurements together; `failures`: the reason for each failed fold."""
+    """Errors of each fold and of all held-out measurements together; `failures`: the reason for each failed fold.
+
+    `ahead`: those of all together, predicted from the measurements up to the row before by fits without the block;
+    empty for models without random disturbances.
+    """
 
     model: str
     over: Over
@@ -77,6 +81,7 @@ class CrossValidation(Tabled):
     total: Mapping[str, Errors]
     failures: Mapping[int, str]
     points: tuple[Point, ...] = field(repr=False, default=())
+    ahead: Mapping[str, Errors] = field(default_factory=dict)
 
     def to_frame(self) -> pl.DataFrame:
         """The errors of each fold and channel, in the channel's unit; those of all folds together have no `fold`."""
@@ -103,6 +108,7 @@ class CrossValidation(Tabled):
                 for number in range(self.count)
             ],
             "total": {name: one.to_json() for name, one in self.total.items()},
+            "ahead": {name: one.to_json() for name, one in self.ahead.items()},
         }
 
 
@@ -118,7 +124,7 @@ class FoldRecord:
         """The content of the fold's file; predictions that are not finite are left out."""
         document: JsonObject = encode(self)
         document["points"] = [
-            {name: value for name, value in point.items() if name not in ("predicted", "sd") or math.isfinite(value)}
+            {name: value for name, value in point.items() if not isinstance(value, float) or math.isfinite(value)}
             for point in document["points"]
         ]
         return document
@@ -171,7 +177,8 @@ def _crossvalidated(
         )
     every = tuple(point for points in found.values() for point in points)
     each = {number: errors(points, sds) for number, points in found.items()}
-    made = CrossValidation(model.name, over, len(parts), each, errors(every, sds), failures, every)
+    ahead = errors_one_ahead(every, sds)
+    made = CrossValidation(model.name, over, len(parts), each, errors(every, sds), failures, every, ahead)
     _write(directory, made, found)
     return made
 
@@ -237,10 +244,11 @@ def _write(directory: Path, made: CrossValidation, found: Mapping[int, Sequence[
     write_text(directory / "table.md", markdown(made))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["fold", "trajectory", "time", "channel", "measured", "predicted", "sd"])
+    given = ["fold", "trajectory", "time", "channel", "measured"]
+    writer.writerow([*given, "predicted", "sd", "one_ahead", "one_ahead_sd"])
     for number, points in found.items():
         for p in points:
-            numbers = ["" if finite(v) is None else v for v in (p.predicted, p.sd)]
+            numbers = ["" if finite(v) is None else v for v in (p.predicted, p.sd, p.ahead, p.ahead_sd)]
             writer.writerow([number, for_spreadsheets(p.trajectory), p.time, p.channel, p.measured, *numbers])
     write_text(directory / "predictions.csv", text.getvalue())
 
@@ -261,6 +269,7 @@ def markdown(made: CrossValidation) -> str:
             lines.append(f"| {number} | failed: {made.failures[number]} |  |  |  |  |  |  |")
         lines += [_row(str(number), name, one) for name, one in made.folds.get(number, {}).items()]
     lines += [_row("all", name, one) for name, one in made.total.items()]
+    lines += [_row("all, one row ahead", name, one) for name, one in made.ahead.items()]
     lines += [
         f"\n{one.unsolved} measurements of {name} have no prediction: the solution blew up before them."
         for name, one in made.total.items()

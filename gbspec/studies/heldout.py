@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +27,8 @@ class Point:
     """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement.
 
     `predicted` and `sd` are NaN where the solution blew up. `in_logarithms`: the noise is lognormal, so that the
-    interval is multiplicative.
+    interval is multiplicative. `ahead` and `ahead_sd`: the same from the measurements up to the row before, of models
+    with random disturbances; NaN in first rows.
     """
 
     trajectory: str
@@ -37,6 +38,13 @@ class Point:
     predicted: float = math.nan
     sd: float = math.nan
     in_logarithms: bool = False
+    ahead: float = math.nan
+    ahead_sd: float = math.nan
+
+    @property
+    def one_ahead(self) -> Point:
+        """The point with the prediction from the row before in place of the other one."""
+        return replace(self, predicted=self.ahead, sd=self.ahead_sd)
 
 
 @dataclass(frozen=True)
@@ -111,12 +119,16 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
     else:
         held = list(fold.held)
         used = filter_run(run, fold.whole, run.best, hidden=held)
+    all_seen = filter_run(run, fold.whole, run.best)
     points = []
-    for item, one, mask in zip(fold.whole.items, used.smoothed(DRAWS), held, strict=True):
+    each = zip(fold.whole.items, used.smoothed(DRAWS), all_seen.one_ahead(DRAWS), held, strict=True)
+    for item, one, next_row, mask in each:
         rows = item.times >= item.start
-        sd = np.where(one.log_channels, one.channel_sd * np.abs(one.channels), one.channel_sd)
-        found = (item.label, item.times[rows], fold.whole.channels, item.values[rows], one.channels, sd)
-        points += _points(*found, mask[rows], logarithmic(run.model))
+        about = item.label, item.times[rows], fold.whole.channels, item.values[rows]
+        last = mask[rows], logarithmic(run.model)
+        found = _points(*about, one.channels, one.measurement_sd, *last)
+        ahead = _points(*about, next_row.channels, next_row.measurement_sd, *last)
+        points += [replace(p, ahead=q.predicted, ahead_sd=q.sd) for p, q in zip(found, ahead, strict=True)]
     return points
 
 
@@ -143,6 +155,11 @@ def _points(
         for j, name in enumerate(channels)
         if np.isfinite(measured[i, j])
     ]
+
+
+def errors_one_ahead(points: Sequence[Point], sds: Mapping[str, float]) -> dict[str, Errors]:
+    """The errors of predictions from the row before; empty for models without random disturbances."""
+    return errors([point.one_ahead for point in points if math.isfinite(point.ahead)], sds)
 
 
 def errors(points: Sequence[Point], sds: Mapping[str, float]) -> dict[str, Errors]:

@@ -139,3 +139,39 @@ def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
     arguments = ["crossvalidate", str(tmp_path / "decay.gb"), str(table(tmp_path / "t.csv", 2)), "-o", str(tmp_path)]
     result = CliRunner().invoke(build(["crossvalidate"]), arguments)
     assert result.exit_code == 1 and "GB806" in result.stderr
+
+
+DISTURBED = """model disturbed "Relaxation with a random disturbance"
+time t
+state x in [-10, 10]
+learn s = 0.5 in [0.01, 5]
+x' = -x
+diffusion x = s
+observe x noise normal(0.1)
+"""
+
+
+def test_disturbed_models_are_also_judged_one_row_ahead(tmp_path: Path) -> None:
+    rng, x, rows = np.random.default_rng(4), 1.0, []
+    decay, spread = math.exp(-0.5), 0.6 * math.sqrt((1 - math.exp(-1.0)) / 2)
+    for k in range(40):
+        rows.append((0.5 * k, x + 0.1 * rng.normal()))
+        x = decay * x + spread * rng.normal()
+    model, path = tmp_path / "disturbed.gb", tmp_path / "t.csv"
+    model.write_text(DISTURBED)
+    path.write_text("t,x\n" + "".join(f"{t},{y!r}\n" for t, y in rows))
+    found = gbspec.load(model).crossvalidate(path, tmp_path / "out", folds=4, threads=1)
+    point = next(p for p in found.points if p.time == 5.0)
+    # A scalar Kalman filter with the fit of the fold that holds this row out, from a start that is long forgotten.
+    s = gbspec.open_run(tmp_path / "out" / "folds" / "1").constants["s"]
+    mean, variance = rows[0][1], 0.01
+    for _, y in rows[1:10]:
+        mean, variance = mean * decay, variance * decay**2 + s**2 * (1 - decay**2) / 2
+        gain = variance / (variance + 0.01)
+        mean, variance = mean + gain * (y - mean), variance * (1 - gain)
+    expected = variance * decay**2 + s**2 * (1 - decay**2) / 2 + 0.01
+    assert point.ahead == pytest.approx(mean * decay, rel=1e-3)
+    assert math.sqrt(expected) * 0.999 <= point.ahead_sd < 1.2 * math.sqrt(expected)
+    assert math.isnan(next(p for p in found.points if p.time == 0.0).ahead)
+    assert found.ahead["x"].n == 39 and found.ahead["x"].rmse < found.total["x"].rmse
+    assert "| all, one row ahead | x | 39 |" in (tmp_path / "out" / "table.md").read_text()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -21,8 +21,12 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 
+Path = tuple[Array, Array, Array, Array]
+"""Coordinates [R, n] and their covariances [R, n, n], channels [R, C] and the variances of new measurements."""
+
+
 @dataclass(frozen=True)
-class Smoothed:
+class Moments:
     """A trajectory's rows [R]: means and standard deviations of its states [R, n], where `log` [n] of their logarithms,
     and of a new measurement of each channel [R, C], where `log_channels` [C] of its logarithm."""
 
@@ -32,6 +36,11 @@ class Smoothed:
     channel_sd: Array
     log: Mask
     log_channels: Mask
+
+    @property
+    def measurement_sd(self) -> Array:
+        """The standard deviations of new measurements [R, C] in the channels' units."""
+        return np.where(self.log_channels, self.channel_sd * np.abs(self.channels), self.channel_sd)
 
 
 @dataclass(frozen=True)
@@ -63,16 +72,23 @@ class FilteredRun:
         """The tests of a channel's innovations."""
         return whiteness(self.standardised(channel)) if self.finite else None
 
-    def smoothed(self, draws: int = 0) -> list[Smoothed]:
+    def smoothed(self, draws: int = 0) -> list[Moments]:
         """States and channels at the rows of each trajectory as all used measurements show them. The standard
         deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
+        return self._moments(self._path, draws)
+
+    def one_ahead(self, draws: int = 0) -> list[Moments]:
+        """The same as the measurements before each row show them; NaN in the first rows of trajectories."""
+        return self._moments(self._before, draws)
+
+    def _moments(self, path: Callable[[Array, Filtered], Path], draws: int) -> list[Moments]:
         engine, log, log_y = self.engine, self.engine.coordinates.log, self.engine.noise.log
-        z, p, y, variance = self._path(self.vector, self.found)
+        z, p, y, variance = path(self.vector, self.found)
         variances = np.diagonal(p, axis1=1, axis2=2), variance
         if draws and self.finite:
             seen = self.found.seen
             found = [(each, engine.filtered(each, seen)) for each in engine.draws(self.vector, self.found, draws)]
-            paths = [self._path(each, one)[0::2] for each, one in found if one.finite]
+            paths = [path(each, one)[0::2] for each, one in found if one.finite]
             if len(paths) > 1:
                 between = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
                 variances = tuple(own + more for own, more in zip(variances, between, strict=True))
@@ -80,17 +96,28 @@ class FilteredRun:
         states = engine.coordinates.states(z)
         sd = np.where(log, sd, sd / engine.coordinates.slopes(states))
         channels = np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y)
-        return [Smoothed(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
+        return [Moments(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
 
-    def _path(self, vector: Array, found: Filtered) -> tuple[Array, Array, Array, Array]:
+    def _path(self, vector: Array, found: Filtered) -> Path:
         """Smoothed coordinates [R, n] at the rows with their covariances, and predicted channels [R, C] with the
         variances of new measurements, at a vector."""
-        engine, (mean, cov, *_) = self.engine, filter.iterated(self.engine, vector, found)
-        ends = np.flatnonzero(engine.legs.row >= 0)
-        rows, n = engine.legs.row[ends], mean.shape[1]
-        z = np.zeros((engine.problem.packed.rows, n))
+        mean, cov, *_ = filter.iterated(self.engine, vector, found)
+        return self._at_rows(vector, mean, cov)
+
+    def _before(self, vector: Array, found: Filtered) -> Path:
+        """The same before the measurements of each row."""
+        z, p, y, variance = self._at_rows(vector, found.end_mean, found.end_cov)
+        first = self.engine.problem.packed.row_index == 0
+        y[first], variance[first] = np.nan, np.nan
+        return z, p, y, variance
+
+    def _at_rows(self, vector: Array, mean: Array, cov: Array) -> Path:
+        """The moments [B, n] and [B, n, n] of the legs that end in rows, and what is measured there."""
+        legs, n = self.engine.legs, mean.shape[1]
+        ends = np.flatnonzero(legs.row >= 0)
+        z = np.zeros((self.engine.problem.packed.rows, n))
         p = np.zeros((len(z), n, n))
-        z[rows], p[rows] = mean[ends], cov[ends]
+        z[legs.row[ends]], p[legs.row[ends]] = mean[ends], cov[ends]
         return z, p, *self._read(vector, z, p)
 
     def _read(self, vector: Array, z: Array, p: Array) -> tuple[Array, Array]:
