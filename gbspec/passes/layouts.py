@@ -9,9 +9,10 @@ their kinds say.
 
 Units that must be convex in an argument have rising convex activations, and those that must be concave rising concave
 ones. Other units whose kind has a direction get monotone activations: some convex, some concave, some saturating (Runje
-and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023). A single layer has a third of each.
-Of several layers, each has one activation for all such units, which costs less and fits as well: convex if there are
-other units too, else convex and saturating layers alternate. Other units keep the network's activation.
+and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023). A single layer has a third of each, as
+every second one of several, after one with convex and concave units; where there are other units too, monotone ones
+only bend. A layer of saturating units alone would bound the output: where all of them are saturated it is constant,
+and whatever goes on rising there is out of reach. Other units keep the network's activation.
 """
 
 from __future__ import annotations
@@ -26,7 +27,6 @@ CONVEX, CONCAVE = frozenset("xpq"), frozenset("crs")
 SHAPES: tuple[Shape, ...] = ("free", "convex", "concave", "saturating")
 _THIRDS: tuple[Shape, ...] = ("convex", "concave", "saturating")
 _BENDS: tuple[Shape, ...] = ("convex", "concave")
-_LEVELS: tuple[Shape, ...] = ("saturating",)
 
 
 class TooNarrow(Exception):  # noqa: N818 - not an error: reported with the place of the network
@@ -52,7 +52,8 @@ def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | 
     mixed = any(not monotone(kind) for kind, _ in groups)
     layers = []
     for i, width in enumerate(hidden):
-        shapes = _THIRDS if len(hidden) == 1 else _BENDS if mixed or i % 2 == 0 else _LEVELS
+        bent = len(hidden) > 1 and (mixed or i % 2 == 0)
+        shapes = _BENDS if bent else _THIRDS
         layers.append(_blocks(groups, needed, width, shapes))
     return Layout(tuple(layers), tuple(kinds), gates)
 

@@ -32,6 +32,14 @@ def test_layers_have_their_widths_and_free_units_come_first(kinds: list[str], hi
             assert (block.shape == "free") == (not set(block.kind) & {"+", "-"})
 
 
+@pytest.mark.parametrize("hidden", [(16,), (16, 16), (9, 9, 9)])
+def test_no_layer_bounds_the_output(hidden: tuple[int, ...]) -> None:
+    """Beside saturating units every layer has others: a network of which all units are saturated cannot rise again."""
+    found = layout(["+"], hidden, 0)
+    assert found is not None
+    assert all({block.shape for block in layer} - {"saturating"} for layer in found.hidden)
+
+
 def test_a_reversed_kind_needs_no_separate_units() -> None:
     found = layout(["+-", "-+"], (12, 12), 0)
     assert found is not None

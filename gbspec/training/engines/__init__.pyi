@@ -1,4 +1,5 @@
 from . import filter as filter
+from .arithmetic import lags as lags
 from .arithmetic import torch_arithmetic as torch_arithmetic
 from .choice import Choice as Choice
 from .choice import choose as choose

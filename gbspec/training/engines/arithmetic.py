@@ -1,4 +1,5 @@
-"""What every engine computes with torch: the generated module's arithmetic, and the predictions at the key rows."""
+"""What every engine computes with torch: the generated module's arithmetic, times of delays, predictions at the key
+rows."""
 
 from __future__ import annotations
 
@@ -26,3 +27,12 @@ def observe_rows(
     k = tuple(constants.unbind(1))
     predicted: Tensor = problem.module.equations.observe(torch_arithmetic(problem.module), t, states, c, u, k, networks)
     return predicted
+
+
+def lags(problem: Problem, constants: Tensor) -> Tensor:
+    """The times of the delays of each trajectory [N, n_lags] at the constants [N, n_constants]."""
+    if not problem.model.delays:
+        return constants.new_zeros((len(constants), 0))
+    condition = constants.new_tensor(problem.packed.condition)
+    found = problem.module.equations.lags(torch_arithmetic(problem.module), condition.unbind(1), constants.unbind(1))
+    return torch.stack([lag + constants.new_zeros(len(constants)) for lag in found], 1)

@@ -36,6 +36,7 @@ from gbspec.training.recipe import (
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
+from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import EDITION, Position, checkpoint, restored
 from gbspec.training.runs.remarks import Exact, Remarks
@@ -366,6 +367,7 @@ class _Runner:
             known.write(self.directory)
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
             result.left += said_of_splines(self.context, self.parameters, position.best, names)
+            result.left += said_of_past(self.context, self.parameters, position.best, names)
             if self.context.model.events:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)

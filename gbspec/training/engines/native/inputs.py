@@ -10,7 +10,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.backends import NUMBER_WORDS, Library, NetworkLayers, Struct, network_layers
-from gbspec.training.engines.arithmetic import torch_arithmetic
+from gbspec.training.engines.arithmetic import lags, torch_arithmetic
 from gbspec.training.engines.deliveries import delivered
 from gbspec.training.engines.starting import initial_states
 from gbspec.training.problem import Parameters, Problem
@@ -50,15 +50,6 @@ class KernelInputs:
         tensors = {name: getattr(self, name) for name in ("weights", "constants", "initial", "amounts", "lags")}
         arrays = {name: np.ascontiguousarray(x.detach().numpy()) for name, x in tensors.items()}
         return library.struct("Inputs", numbers=self.numbers, **arrays)
-
-
-def lags(problem: Problem, constants: Tensor) -> Tensor:
-    """The times of the delays of each trajectory [N, n_lags] at the constants [N, n_constants]."""
-    if not problem.model.delays:
-        return constants.new_zeros((len(constants), 0))
-    condition = constants.new_tensor(problem.packed.condition)
-    found = problem.module.equations.lags(torch_arithmetic(problem.module), condition.unbind(1), constants.unbind(1))
-    return torch.stack([lag + constants.new_zeros(len(constants)) for lag in found], 1)
 
 
 class Latest:
