@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtri_exp
 
 Value: TypeAlias = Any
 """An array, or a tensor: the same text serves numpy and torch, which share no type."""
@@ -50,6 +51,27 @@ class Censored:
         exact = np.where(-2.0 * logs > LEAST, ratio / root, 0.0)
         return np.where(side == 0, 1.0, np.where(known, exact, (violation > 0).astype(np.float64)))
 
+    def noise_terms(
+        self, residuals: NDArray[np.float64], seen: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Squares and counts of the residuals [m] of the entries `seen` [R, C], whose sums have the noise's variance as
+        their ratio.
+
+        Known values have their squares and count as one. With w = -r/l, r that of the limit, a limit is expected to
+        have the square l^2 (1 - w phi(w)/Phi(w)) (Tobin 1958): the first term is that of one more value, and so both
+        are left out; a positive w phi/Phi counts, the negative of another one is a square. Far on its side of the
+        limit a value tells nothing of the noise; far beyond it, it is a residual like others.
+        """
+        side, level = self.side[seen], np.broadcast_to(self.level, self.side.shape)[seen]
+        known, limit = level > 0, side != 0
+        logs = -0.5 * (residuals / np.where(known, level, 1.0)) ** 2
+        w = ndtri_exp(np.minimum(logs, -LEAST))
+        exponent = np.minimum(-0.5 * w**2 - 0.5 * np.log(2 * np.pi) - logs, 700.0)
+        told = np.where(np.isfinite(w), w * np.exp(exponent), 0.0)
+        squares = np.where(limit & known, level**2 * np.maximum(-told, 0.0), residuals**2)
+        counts = np.where(limit, np.where(known, np.maximum(told, 0.0), (residuals != 0).astype(np.float64)), 1.0)
+        return squares, counts
+
     def _parts(self, plain: Value, xp: Arithmetic) -> tuple[Value, Value, Value, Value]:
         """Sides, violations of the limits (0 at known values), levels (1 where not known), and where they are known."""
         side, level = self.side.astype(np.float64), np.broadcast_to(self.level, self.side.shape)
@@ -64,6 +86,4 @@ def _log_probability(z: Value, xp: Arithmetic) -> Value:
     """The logarithm of the normal distribution function."""
     if xp is not np:
         return xp.special.log_ndtr(z)
-    from scipy.special import log_ndtr
-
     return log_ndtr(z)

@@ -105,7 +105,7 @@ def _power(node: sympy.Pow, v: Expr) -> Partials:
     if exponent.is_number:
         return [(base, slope)]
     flat = _choice((sympy.S.Zero, sympy.Eq(exponent, 0, evaluate=False)), slope)
-    if base.is_number and base.is_negative:  # the exponent is a whole number, or there is no value
+    if base.is_number and (base.is_negative or base.is_zero):  # the exponent is whole, or not negative, or no value is
         return [(base, flat)]
     growth = v * sympy.log(base)
     if not base.is_number:

@@ -31,7 +31,7 @@ from .record import ScalesRecord as ScalesRecord
 from .record import StageRecord as StageRecord
 from .record import StepRecord as StepRecord
 from .record import WhitenessRecord as WhitenessRecord
-from .record import check_splines as check_splines
+from .record import check_weights as check_weights
 from .record import read_record as read_record
 from .seals import Summary as Summary
 from .seals import sealed as sealed

@@ -17,7 +17,7 @@ from gbspec.backends import INTERFACE
 from gbspec.data import Estimated, Scales, Trajectories, scales_of
 from gbspec.diagnostics import Findings
 from gbspec.files import finite
-from gbspec.ir import METHODS, RK4, Model, logarithmic
+from gbspec.ir import METHODS, RK4, Model, Network, logarithmic
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.runs.population import ObjectiveRecord, PopulationRecord
@@ -30,6 +30,8 @@ OLDEST = 1
 """The oldest interface of the generated module whose runs can still be read; assumed if a run names none."""
 SPLINES = 3
 """The first interface whose coefficients of splines have the units of `gbspec.passes.splines`."""
+LAYERS = 4
+"""The first interface whose later layers of networks with directions have the units of `gbspec.passes.layouts`."""
 DAMAGED = "restore the file from a copy, or train again into another directory"
 UNBEGUN = "its training stopped before it began: the same `gbspec train` command begins it again"
 
@@ -395,13 +397,22 @@ def _of_another_interface(directory: Path, content: Mapping[str, object], findin
     return True
 
 
-def check_splines(directory: Path, record: FitRecord, model: Model) -> None:
-    """Raises UserError (GB857) for splines whose coefficients are in units of an older interface."""
+def check_weights(directory: Path, record: FitRecord, model: Model) -> None:
+    """Raises UserError (GB857) for weights of an older interface that have another meaning now."""
     findings = Findings()
     if record.interface < SPLINES and any(network.spline for network in model.networks):
         which = f"coefficients of splines have other units since {SPLINES}"
         _refuse(directory, record.gbspec, record.interface, which, findings)
+    elif record.interface < LAYERS and any(_saturates_late(network) for network in model.networks):
+        which = f"second layers of networks with directions have other units since {LAYERS}"
+        _refuse(directory, record.gbspec, record.interface, which, findings)
     findings.raise_if_failed()
+
+
+def _saturates_late(network: Network) -> bool:
+    """Whether layers after the first have saturating units: before, all of their units were saturating."""
+    later = network.layout.hidden[1:] if network.layout is not None else ()
+    return any(block.shape == "saturating" for layer in later for block in layer)
 
 
 def _refuse(directory: Path, wrote: object, interface: int, which: str, findings: Findings) -> None:

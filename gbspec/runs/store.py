@@ -22,7 +22,7 @@ from gbspec.runs.record import (
     ConstantRecord,
     FitRecord,
     MemberRecord,
-    check_splines,
+    check_weights,
     comparable_losses,
     read_record,
 )
@@ -179,7 +179,7 @@ def open_run(path: str | Path, warnings: Findings | None = None) -> Run:
     if fit is None or findings.failed:
         raise UserError(findings)
     model = _model_of(directory)
-    check_splines(directory, fit, model)
+    check_weights(directory, fit, model)
     run = Run(directory, model, fit, _numbers(directory, fit))
     if not run.numbers:
         message = f"no member of the run `{directory}` has weights"

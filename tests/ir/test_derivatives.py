@@ -54,6 +54,7 @@ KINKS: dict[str, tuple[sympy.Expr, tuple[float, float, float], tuple[float, floa
     "max of three": (OPERATIONS["max of three"], (0.4, 0.4, 0.4), (0.25, 0.25, 0.5)),
     "power 0": (OPERATIONS["general power"], (0.5, 0.0, 1.0), (0.0, math.log(0.5), 0.0)),
     "0 to a power": (OPERATIONS["general power"], (0.0, 2.0, 1.0), (0.0, 0.0, 0.0)),
+    "the number 0 to a power": (sympy.Pow(0, Y, evaluate=False) + X, (0.5, 2.0, 1.0), (1.0, 0.0, 0.0)),
     "choice": (OPERATIONS["choice"], (0.4, 0.4, 1.0), (0.8, 0.0, 0.0)),
 }
 

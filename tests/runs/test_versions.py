@@ -67,15 +67,22 @@ def test_a_run_of_a_newer_interface_names_who_wrote_it_and_what_to_do(run: Path,
     assert finding.help is not None and "train again" in finding.help
 
 
-def test_splines_in_other_units_are_refused(tmp_path: Path) -> None:
-    text = "model m\ntime t\nstate x in [0, 2] = 1\nx' = -f(x)\nunknown f(x in [0, 2])\n    by spline(6)\nobserve x\n"
+@pytest.mark.parametrize(
+    ("function", "interface", "reason"),
+    [
+        ("by spline(6)", 2, "coefficients of splines have other units"),
+        ("increasing in x by mlp(4, 4)", 3, "second layers of networks with directions have other units"),
+    ],
+)
+def test_weights_of_another_meaning_are_refused(tmp_path: Path, function: str, interface: int, reason: str) -> None:
+    text = f"model m\ntime t\nstate x in [0, 2] = 1\nx' = -f(x)\nunknown f(x in [0, 2])\n    {function}\nobserve x\n"
     (tmp_path / "m.gb").write_text(text)
     (tmp_path / "d.csv").write_text("t,x\n" + "".join(f"{0.2 * i:.1f},{np.exp(-0.2 * i):.4f}\n" for i in range(12)))
     options = {"effort": "low", "epochs": 1, "threads": 1}
     gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "r", **options)  # type: ignore[arg-type]
     open_run(tmp_path / "r")
     fit = json.loads((tmp_path / "r" / "fit.json").read_text())
-    (tmp_path / "r" / "fit.json").write_text(json.dumps(fit | {"interface": 2}))
+    (tmp_path / "r" / "fit.json").write_text(json.dumps(fit | {"interface": interface}))
     for resume in (False, True):
         with pytest.raises(UserError) as caught:
             if resume:
@@ -84,4 +91,4 @@ def test_splines_in_other_units_are_refused(tmp_path: Path) -> None:
                 open_run(tmp_path / "r")
         (finding,) = caught.value.diagnostics
         assert finding.code == "GB857"
-        assert "coefficients of splines have other units" in finding.message
+        assert reason in finding.message

@@ -42,6 +42,17 @@ observe x
 """
 """Coulomb's friction, until it sticks."""
 
+ORDER = """model order
+time t from 0
+state x in [0, 2]
+learn k = 0.4 in [0.1, 10]
+learn n = 1.3 in [0.2, 3]
+x' = k*max(1 - x, 0)^n + 0.2*x
+initial x = 0
+observe x
+"""
+"""A power of what is nothing beyond a switch, with a learned exponent."""
+
 SEVERAL = """model several
 time t from 0
 state a in [0, 4]

@@ -16,7 +16,7 @@ from gbspec.training.engines.objective import linearise, residual_table
 from gbspec.training.problem import measured_only
 from tests.events.test_derivatives import some_rows
 from tests.events.test_kernel import engines_of, the_kernel_agrees
-from tests.switches.models import FRICTION, OVERFLOW, RELAY, SEVERAL
+from tests.switches.models import FRICTION, ORDER, OVERFLOW, RELAY, SEVERAL
 from tests.training.conftest import model_of, problem_of, trajectory
 from tests.training.reference import whole_jacobian
 
@@ -44,7 +44,7 @@ def with_input() -> Trajectories:
     return Trajectories(tuple(items), ("a", "total"))
 
 
-ROWS = {OVERFLOW: some_rows(1, 6, 4.0), RELAY: some_rows(1, 6, 4.0), SEVERAL: with_input()}
+ROWS = {OVERFLOW: some_rows(1, 6, 4.0), ORDER: some_rows(1, 6, 4.0), RELAY: some_rows(1, 6, 4.0), SEVERAL: with_input()}
 
 
 def values(model: Model, data: Trajectories, step: float) -> Array:
@@ -63,7 +63,9 @@ def test_the_order_of_the_method_is_restored(text: str) -> None:
     assert np.sqrt(as_before / still) < 7.0 and as_before > 5 * coarse
 
 
-CASES = pytest.mark.parametrize(("text", "blend"), [(OVERFLOW, 0.0), (RELAY, 0.0), (SEVERAL, 0.0), (SEVERAL, 1.0)])
+CASES = pytest.mark.parametrize(
+    ("text", "blend"), [(OVERFLOW, 0.0), (ORDER, 0.0), (RELAY, 0.0), (SEVERAL, 0.0), (SEVERAL, 1.0)]
+)
 
 
 @CASES

@@ -151,3 +151,34 @@ def test_limits_stay_with_their_rows() -> None:
         assert part.seen.shape == part.packed.limits.side.shape == part.measured.shape
         known = part.packed.limits.side == 0
         assert np.array_equal(np.isfinite(part.packed.values), known)
+
+
+def test_noise_terms_are_those_of_the_maximum_of_the_likelihood() -> None:
+    """Tobin's estimate of the noise, half of the values censored: unbiased, where each limit as a value is not."""
+    rng, sd = np.random.default_rng(0), 0.3
+    values = rng.normal(size=(40_000, 1)) * sd
+    side = np.where(values < 0.1, -1, 0).astype(np.int8)
+    measured = np.where(side == 0, values, 0.1)
+    given, seen = Censored(side, np.full(1, sd)), np.ones_like(values, dtype=bool)
+    found = residuals(np.zeros_like(values), measured, np.ones((1, 1)), np.zeros(1, dtype=bool), censored=given)
+    squares, counts = given.noise_terms(found[seen], seen)
+    assert np.sqrt(squares.sum() / counts.sum()) == pytest.approx(sd, rel=0.02)
+    violated = Censored(np.full((2, 1), -1, dtype=np.int8), np.full(1, sd))
+    squares, counts = violated.noise_terms(np.array([0.0, 5.0]), np.ones((2, 1), dtype=bool))
+    assert squares == pytest.approx([0.0, 25.0], rel=0.05) and counts == pytest.approx([0.0, 0.0])
+
+
+def test_values_far_below_their_limit_say_nothing_of_the_noise(tmp_path: Path) -> None:
+    """Intervals are those of the table without these cells: each counted as a value, and they were far too narrow."""
+    model, rng = model_of(DECAY.replace(" noise normal(0.1)", " noise lognormal(0.1)")), np.random.default_rng(1)
+    times = np.arange(0.2, 2.6, 0.2)
+    values = [f"{v:.4f}" for v in 2 * np.exp(-0.7 * times) * np.exp(0.1 * rng.normal(size=len(times)))]
+    late = np.arange(8.0, 14.0, 0.2)
+    limits = ["<0.3"] * len(late)
+    found = []
+    for more, cells in ((late, limits), (late[:0], [])):
+        table = {"t": [*times.tolist(), *more.tolist()], "x": [*values, *cells]}
+        data = read_frame(table, model, Findings())
+        found.append(train(model, data, TrainOptions(threads=1), tmp_path / str(len(more))).fit.constants["k"])
+    assert found[0].value == pytest.approx(found[1].value, rel=1e-3)
+    assert found[0].sd == pytest.approx(found[1].sd, rel=0.05)

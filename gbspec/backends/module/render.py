@@ -15,7 +15,7 @@ from gbspec.backends.printing import TextPrinter, docstring, identifier
 from gbspec.ir import NN, RK4, Argument, Channel, Declared, Method, Model, Network, Range, Table, Vector
 from gbspec.version import __version__
 
-INTERFACE = 3
+INTERFACE = 4
 """The version of the generated module's interface; training and analysis reject other versions."""
 
 

@@ -157,10 +157,11 @@ class _Reduced:
             values = np.maximum(values, 0.0)
             used += float(np.sum(values / (values + weak)))
             thin.append((here, local[here] @ (vectors / np.sqrt(values + weak))))
-        squares = float(np.sum(weights * measured**2))
+        squares, counts = engine.problem.noise_terms(measured)
+        known = float(np.sum(weights * squares)), float(counts.sum())
         shared = rows.shared.numpy()
         shared *= root[:, None]  # in place, as it may be large
-        return cls(shared, rows.residuals.numpy() * root, tuple(thin), squares, engine.problem.information, used, weak)
+        return cls(shared, rows.residuals.numpy() * root, tuple(thin), *known, used, weak)
 
     def times(self, columns: Array) -> Array:
         """The product [n, k] of the matrix with `columns` [n, k]."""

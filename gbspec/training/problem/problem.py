@@ -74,10 +74,13 @@ class Problem:
         share = self.scaling.share
         return 1.0 if share is None else np.broadcast_to(share, self.seen.shape)[self.seen]
 
-    @property
-    def information(self) -> float:
-        """The number of measured values, each as much as it counts."""
-        return float(np.sum(self.shares * np.ones(int(self.seen.sum()))))
+    def noise_terms(self, residuals: Array) -> tuple[Array, Array]:
+        """Squares and counts of the residuals [m] of the measured values, each as much as it counts: the variance of
+        the noise is the ratio of their sums, the counts less by the degrees of freedom of a fit."""
+        squares, counts = residuals**2, np.ones(len(residuals))
+        if self.censored is not None:
+            squares, counts = self.censored.noise_terms(residuals, self.seen)
+        return squares, counts * self.shares
 
     def of_noise(self, residuals: Array) -> Array:
         """Residuals of the measured values [m] that have the standard deviation of the noise."""

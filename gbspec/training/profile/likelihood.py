@@ -237,7 +237,7 @@ class _Profiler:
         first = self.target = self._penalised(equations.ridge, self.variance)
         rest = self._settled(theta)
         residuals = residual_vector(engine, rest.theta)
-        self.variance = max(float(residuals @ residuals) / max(engine.problem.information - freedom, 1.0), CLEAN**2)
+        self.variance = max(noise_variance(engine.problem, residuals, float("inf"), freedom), CLEAN**2)
         self.target = self._penalised(self.target.ridge, self.variance)
         self.anchor = self._anchor(rest.theta)
         self.deviation = math.sqrt(self.anchor.variance * self.variance)

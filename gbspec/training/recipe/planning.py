@@ -25,6 +25,8 @@ from gbspec.training.recipe.known import SegmentsOfKnown
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
+from gbspec.training.recipe.thresholds import PATIENCE as THRESHOLD_PATIENCE
+from gbspec.training.recipe.thresholds import ThresholdSearch, learned_thresholds
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
 from gbspec.training.recipe.whole import ENOUGH, ROUNDING, demanding, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
@@ -198,6 +200,7 @@ class _Planner:
         whole = self._at(0.0, 1.0, self.released)
         return [
             self._adam(self._most(StageName.ADAM), self._hidden),
+            self._thresholds(),
             self._newton(StageName.IMPUTED, self._imputed, self._prior, self._needs_imputing),
             self._starts(StageName.STARTS, 1.0),
             self._newton(StageName.TEACHER, self._at(1.0), self._prior, total=self._teacher_limit()),
@@ -343,7 +346,8 @@ class _Planner:
         most = ATTEMPTS[self.effort]
 
         def make(reached: Reached) -> Stage:
-            first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]
+            begun = reached.marks.get(StageName.SEARCH, reached.marks.get(StageName.WARM_START, reached.theta))
+            first = [begun, reached.theta]
             ordered = first if not context.points.equations else first[::-1]
             starts = [start for start in ordered for _ in range(2)]
             starts += [self._random(reached.theta, number) for number in range(1, most - len(starts) + 1)]
@@ -388,6 +392,17 @@ class _Planner:
             return Adam(StageName.ADAM.value, epochs, self._at(self.blend), self.options, self.context.seed)
 
         return Planned(StageName.ADAM, epochs, make, wanted)
+
+    def _thresholds(self) -> Planned:
+        """The search for constants in the conditions of events, which no derivative tells where they do not happen."""
+        learned = learned_thresholds(self.context.model)
+
+        def make(reached: Reached) -> Stage:
+            engine = self.context.engine(self.parameters, 1.0)
+            return ThresholdSearch(engine, self.context.seed, self.effort, self._regular, reached.theta)
+
+        most = THRESHOLD_PATIENCE[self.effort].improved if learned else 0
+        return Planned(StageName.SEARCH, most, make)
 
     def _quasi_newton(self, epochs: int) -> Planned:
         def make(reached: Reached) -> Stage:

@@ -24,7 +24,7 @@ from gbspec.runs import (
     MemberRecord,
     Run,
     ScalesRecord,
-    check_splines,
+    check_weights,
     files,
     locked,
     member_numbers,
@@ -310,7 +310,7 @@ def _check_resumable(path: Path, model: Model, record: FitRecord) -> FitRecord:
     before = read_record(path, findings)
     if before is None:
         raise UserError(findings)
-    check_splines(path, before, model)
+    check_weights(path, before, model)
     try:
         text = (path / files.MODEL).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

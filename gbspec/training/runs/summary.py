@@ -239,7 +239,7 @@ class _Noise:
         engine = context.engine(parameters, 0.0 if whole else context.options.blend, step_fraction(stages))
         residuals, share = residual_table(engine, theta), engine.problem.scaling.share
         residuals = residuals if share is None else residuals / np.sqrt(share)
-        count = int((context.packed().weights > 0).sum())
+        count = float(np.sum(engine.problem.noise_terms(residual_vector(engine, theta))[1] / engine.problem.shares))
         if not whole or not count:
             return cls(residuals, None, float("inf"))
         used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())

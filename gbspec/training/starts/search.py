@@ -110,11 +110,18 @@ class Search:
     name = StageName.SEARCH.value
 
     def __init__(
-        self, engine: Engine, forced: Engine | None, seed: int, effort: Effort, unsized: Mask | None = None
+        self,
+        engine: Engine,
+        forced: Engine | None,
+        seed: int,
+        effort: Effort,
+        unsized: Mask | None = None,
+        patience: Patience | None = None,
     ) -> None:
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
         self.unsized = unsized
-        self.patience = patience_of(effort, engine)
+        self.patience = patience or patience_of(effort, engine)
+        self.options, self.iterations = OPTIONS, ITERATIONS
         columns = self.parameters.n_shared + self.parameters.n_local
         self.indistinct = min(SAME, 1 / max(int(engine.problem.seen.sum()), 1))
         """Relative differences of objectives by which the data do not tell two minima apart: 1 in -2 log likelihood."""
@@ -294,13 +301,13 @@ class Search:
             theta = self._descended(self.forced, theta, FORCED)
         if self.parameters.own:
             theta = refit_own(self.engine, theta, self.seed, 32, 2)
-        theta = self._descended(self.engine, theta, ITERATIONS)
+        theta = self._descended(self.engine, theta, self.iterations)
         return self._objective(theta), theta
 
     def _best_of_own(self, theta: Array, best: float) -> tuple[Array, float]:
         """The best vector after another look for better constants of single trajectories."""
         for attempt in range(3 if self.parameters.own else 0):
-            trial = self._descended(self.engine, refit_own(self.engine, theta, self.seed + attempt), ITERATIONS)
+            trial = self._descended(self.engine, refit_own(self.engine, theta, self.seed + attempt), self.iterations)
             reached = self._objective(trial)
             if not reached < best * (1 - SAME):
                 break
@@ -312,7 +319,7 @@ class Search:
         control = engine.problem.control
         # Adaptive steps: below a tenth of the tolerance, residuals are the error of the steps.
         least = 0.0 if control is None else 0.5 * (0.1 * control.rtol) ** 2
-        options = replace(OPTIONS, enough=max(EXACT, least))
+        options = replace(self.options, enough=max(EXACT, least))
         stage = LevenbergMarquardt(self.name, iterations, lambda i: engine, options)
         state = stage.begin(theta)
         for i in range(iterations):
