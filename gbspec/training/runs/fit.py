@@ -438,6 +438,7 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []
-    full = [one for one in result.stages if one.iterations == most_iterations(one.name, options.effort) > 1]
-    last = f" (`{full[-1].name}` ended after its {full[-1].iterations} iterations)" if full else ""
+    ended = [one for one in result.stages if most_iterations(one.name, options.effort) > 1][-1:]
+    full = [one for one in ended if one.iterations == most_iterations(one.name, options.effort)]
+    last = f" (`{full[0].name}` ended after its {full[0].iterations} iterations)" if full else ""
     return [*far, *verdict.unrested(result.channels, last)]
