@@ -58,7 +58,7 @@ def test_thresholds_that_no_solution_reaches_are_searched(tmp_path: Path) -> Non
         initial={"h": (1.2, 2.4)},
         condition={"draw": (0.4, 1)},
     )
-    run = gbspec.train(path, data, tmp_path / "run", threads=1).run
+    run = gbspec.train(path, data, tmp_path / "run", backend="native", threads=1).run
     constants = {name: one.value for name, one in run.fit.constants.items()}
     assert constants == pytest.approx({"low": 1.0, "high": 2.5, "feed": 0.9}, rel=0.02)
     assert not [text for text in run.fit.warnings if "never happens" in text]
