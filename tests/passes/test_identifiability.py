@@ -215,6 +215,7 @@ def test_effort_that_ends_gives_no_answer() -> None:
             "state S\nstate I\nlearn g = 0.1\nunknown b(t) >= 0\nS' = -b*S*I\nI' = b*S*I - g*I\nobserve y = 1000*I\n",
             [("g", "b")],
         ),
+        ("state x\nlearn k = 1\nunknown f(t) period 3 in t\nx' = -k*x + f\nobserve x\n", []),
         ("state x\nlearn k = 1\nunknown f(x)\nx' = f + k\nobserve x\n", []),
         ("state x\ninput u held\nlearn a = 1\nunknown f(t)\nx' = f - x + a*u\nobserve x\n", []),
     ],

@@ -99,12 +99,13 @@ def by_one_trajectory(model: Model, budget: float = BUDGET) -> tuple[Inseparable
     """Sets that a single trajectory cannot separate, in models whose unknowns are functions of time alone.
 
     Functions of states pass the same values more than once, which the expansion around one point does not see; a
-    function of time does not, so that it can follow any single trajectory. Empty where that is not decided, and with
-    inputs and doses, whose jumps a smooth function does not follow.
+    function of time does not, so that it can follow any single trajectory. Empty where that is not decided, with
+    inputs and doses, whose jumps a smooth function does not follow, and for periodic functions, whose values return.
     """
+    periodic = any(c.kind == "period" for unknown in model.unknowns for c in unknown.contracts)
     clock = frozenset({model.time.symbol})
     others = (model.events, model.algebraics, model.delays, model.diffusions, model.inputs, model.doses)
-    if not model.unknowns or any(others) or model.steady is not None:
+    if not model.unknowns or periodic or any(others) or model.steady is not None:
         return ()
     question = replace(pose(model, all_states=False), alone=True)
     of_time = [a for a in question.applications if {s for e in a.arguments for s in e.free_symbols} == clock]
