@@ -438,6 +438,8 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []
+    if not result.finished:  # that is said by itself
+        return far
     ended = [one for one in result.stages if most_iterations(one.name, options.effort) > 1][-1:]
     full = [one for one in ended if one.iterations == most_iterations(one.name, options.effort)]
     last = f" (`{full[0].name}` ended after its {full[0].iterations} iterations)" if full else ""
