@@ -16,7 +16,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri_exp
 
 Value: TypeAlias = Any
 """An array, or a tensor: the same text serves numpy and torch, which share no type."""
@@ -62,6 +61,8 @@ class Censored:
         are left out; a positive w phi/Phi counts, the negative of another one is a square. Far on its side of the
         limit a value tells nothing of the noise; far beyond it, it is a residual like others.
         """
+        from scipy.special import ndtri_exp
+
         side, level = self.side[seen], np.broadcast_to(self.level, self.side.shape)[seen]
         known, limit = level > 0, side != 0
         logs = -0.5 * (residuals / np.where(known, level, 1.0)) ** 2
@@ -86,4 +87,6 @@ def _log_probability(z: Value, xp: Arithmetic) -> Value:
     """The logarithm of the normal distribution function."""
     if xp is not np:
         return xp.special.log_ndtr(z)
+    from scipy.special import log_ndtr
+
     return log_ndtr(z)
