@@ -6,7 +6,7 @@
 A worker process for each checkout imports the benchmarks of that checkout and keeps its workload (that of
 `benchmarks.step`). Both are called in turn, the first of a pair drawn at random, and the ratio is taken within the
 pair. Where memory lies differs from process to process, and moves times by several per cent for as long as a process
-lives: so both workers are started anew several times, and each start gives one ratio, the median of its pairs.
+lives. So both workers are restarted several times, and each start gives one ratio, the median of its pairs.
 Commands run as processes in pairs too. The interval of a median ratio holds with at least 95 % (order
 statistics; Conover 1999, section 3.2), or is the range of all ratios where these are fewer than six.
 """

@@ -81,7 +81,7 @@ def states_of(work: StiffWork, engine: Engine) -> Array:
 
 
 def moving(work: StiffWork) -> Callable[[], Array]:
-    """Vectors that differ by rounding, so that steps are chosen anew in each call, as in a fit."""
+    """Vectors that differ by rounding, so that steps are chosen again in each call, as in a fit."""
     count = 0
 
     def following() -> Array:

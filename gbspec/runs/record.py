@@ -418,7 +418,8 @@ def _saturates_late(network: Network) -> bool:
 def _refuse(directory: Path, wrote: object, interface: int, which: str, findings: Findings) -> None:
     message = f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; {which}"
     path = shlex.quote(str(directory / files.MODEL))
-    help_text = f"use gbspec {wrote} for it, or train again with this one: `gbspec train {path} DATA -o RUN`"
+    other = f"gbspec {wrote}" if wrote != __version__ else f"the earlier state of gbspec {wrote} that wrote it"
+    help_text = f"use {other}, or train again with this one: `gbspec train {path} DATA -o RUN`"
     findings.error("GB857", message, None, help=help_text)
 
 

@@ -124,11 +124,9 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
     each = zip(fold.whole.items, used.smoothed(DRAWS), all_seen.one_ahead(DRAWS), held, strict=True)
     for item, one, next_row, mask in each:
         rows = item.times >= item.start
-        about = item.label, item.times[rows], fold.whole.channels, item.values[rows]
-        last = mask[rows], logarithmic(run.model)
-        found = _points(*about, one.channels, one.measurement_sd, *last)
-        ahead = _points(*about, next_row.channels, next_row.measurement_sd, *last)
-        points += [replace(p, ahead=q.predicted, ahead_sd=q.sd) for p, q in zip(found, ahead, strict=True)]
+        found = (item.label, item.times[rows], fold.whole.channels, item.values[rows], one.channels, one.measurement_sd)
+        ahead = next_row.channels, next_row.measurement_sd
+        points += _points(*found, mask[rows], logarithmic(run.model), ahead)
     return points
 
 
@@ -147,10 +145,20 @@ def _points(
     sd: Array,
     rows: Mask,
     log: Mask,
+    ahead: tuple[Array, Array] | None = None,
 ) -> list[Point]:
-    """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns)."""
+    """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns).
+
+    `ahead`: means and standard deviations from the row before.
+    """
+    tables = (measured, mean, sd) if ahead is None else (measured, mean, sd, *ahead)
+
+    def point(i: int, j: int, name: str) -> Point:
+        value, predicted, deviation, *one_ahead = (float(table[i, j]) for table in tables)
+        return Point(label, float(times[i]), name, value, predicted, deviation, bool(log[j]), *one_ahead)
+
     return [
-        Point(label, float(times[i]), name, float(measured[i, j]), float(mean[i, j]), float(sd[i, j]), bool(log[j]))
+        point(int(i), j, name)
         for i in np.flatnonzero(rows)
         for j, name in enumerate(channels)
         if np.isfinite(measured[i, j])

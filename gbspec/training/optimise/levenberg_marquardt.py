@@ -381,10 +381,8 @@ def moved(engine: Engine, theta: Array, change: Array) -> float:
 def noise_variance(problem: Problem, residuals: Array, delta: float, freedom: float) -> float:
     """Residual variance, corrected for the degrees of freedom that the fit used."""
     squares, counts = problem.noise_terms(residuals)
-    count = float(counts.sum())
-    return float(np.sum(huber_weights(residuals, problem.limit(delta)) * squares)) / max(
-        count - freedom, 0.1 * count, 1.0
-    )
+    weights, count = huber_weights(residuals, problem.limit(delta)), float(counts.sum())
+    return float(np.sum(weights * squares)) / max(count - freedom, 0.1 * count, 1.0)
 
 
 def evidence(

@@ -77,9 +77,9 @@ class Problem:
     def noise_terms(self, residuals: Array) -> tuple[Array, Array]:
         """Squares and counts of the residuals [m] of the measured values, each as much as it counts: the variance of
         the noise is the ratio of their sums, the counts less by the degrees of freedom of a fit."""
-        squares, counts = residuals**2, np.ones(len(residuals))
-        if self.censored is not None:
-            squares, counts = self.censored.noise_terms(residuals, self.seen)
+        if self.censored is None:
+            return residuals**2, np.ones(len(residuals)) * self.shares
+        squares, counts = self.censored.noise_terms(residuals, self.seen)
         return squares, counts * self.shares
 
     def of_noise(self, residuals: Array) -> Array:

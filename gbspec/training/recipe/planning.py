@@ -398,8 +398,8 @@ class _Planner:
         learned = learned_thresholds(self.context.model)
 
         def make(reached: Reached) -> Stage:
-            engine = self.context.engine(self.parameters, 1.0)
-            return ThresholdSearch(engine, self.context.seed, self.effort, self._regular, reached.theta)
+            engine, options = self.context.engine(self.parameters, 1.0), self._regular(reached.theta)
+            return ThresholdSearch(engine, self.context.seed, self.effort, options)
 
         most = THRESHOLD_PATIENCE[self.effort].improved if learned else 0
         return Planned(StageName.SEARCH, most, make)

@@ -8,7 +8,7 @@ minima than whole solutions, and show an event by what it does to the next rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from gbspec.arrays import Array
 from gbspec.ir import Model
@@ -27,19 +27,18 @@ PATIENCE: Mapping[Effort, Patience] = {
 
 
 def learned_thresholds(model: Model) -> list[str]:
-    """The learnable constants in the conditions of events."""
-    symbols = set().union(*(event.guard.free_symbols for event in model.events if event.guard is not None))
+    """The learnable constants in the conditions of events that have effects (others end steps at switches)."""
+    guards = [event.guard for event in model.events if event.guard is not None and event.values]
+    symbols = set().union(*(guard.free_symbols for guard in guards))
     return [one.name for one in model.learnables if one.symbol in symbols]
 
 
 class ThresholdSearch(Search):
     """The search for constants of events beside networks, whose weights start from those of the warm start."""
 
-    def __init__(
-        self, engine: Engine, seed: int, effort: Effort, options: Callable[[Array], LevenbergOptions], start: Array
-    ) -> None:
+    def __init__(self, engine: Engine, seed: int, effort: Effort, options: LevenbergOptions) -> None:
         super().__init__(engine, None, seed, effort, patience=PATIENCE[effort])
-        self.options, self.iterations = options(start), ITERATIONS
+        self.options, self.iterations = options, ITERATIONS
 
     def _preferred(self, minima: State, theta: Array, best: float) -> Array:
         """The best one: weights have not come to rest, so that none is known to be a minimum."""

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 
-Path = tuple[Array, Array, Array, Array]
+_Coordinates = tuple[Array, Array, Array, Array]
 """Coordinates [R, n] and their covariances [R, n, n], channels [R, C] and the variances of new measurements."""
 
 
 @dataclass(frozen=True)
-class Moments:
+class RowMoments:
     """A trajectory's rows [R]: means and standard deviations of its states [R, n], where `log` [n] of their logarithms,
     and of a new measurement of each channel [R, C], where `log_channels` [C] of its logarithm."""
 
@@ -72,16 +72,16 @@ class FilteredRun:
         """The tests of a channel's innovations."""
         return whiteness(self.standardised(channel)) if self.finite else None
 
-    def smoothed(self, draws: int = 0) -> list[Moments]:
+    def smoothed(self, draws: int = 0) -> list[RowMoments]:
         """States and channels at the rows of each trajectory as all used measurements show them. The standard
         deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
         return self._moments(self._path, draws)
 
-    def one_ahead(self, draws: int = 0) -> list[Moments]:
+    def one_ahead(self, draws: int = 0) -> list[RowMoments]:
         """The same as the measurements before each row show them; NaN in the first rows of trajectories."""
         return self._moments(self._before, draws)
 
-    def _moments(self, path: Callable[[Array, Filtered], Path], draws: int) -> list[Moments]:
+    def _moments(self, path: Callable[[Array, Filtered], _Coordinates], draws: int) -> list[RowMoments]:
         engine, log, log_y = self.engine, self.engine.coordinates.log, self.engine.noise.log
         z, p, y, variance = path(self.vector, self.found)
         variances = np.diagonal(p, axis1=1, axis2=2), variance
@@ -96,22 +96,22 @@ class FilteredRun:
         states = engine.coordinates.states(z)
         sd = np.where(log, sd, sd / engine.coordinates.slopes(states))
         channels = np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y)
-        return [Moments(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
+        return [RowMoments(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
 
-    def _path(self, vector: Array, found: Filtered) -> Path:
+    def _path(self, vector: Array, found: Filtered) -> _Coordinates:
         """Smoothed coordinates [R, n] at the rows with their covariances, and predicted channels [R, C] with the
         variances of new measurements, at a vector."""
         mean, cov, *_ = filter.iterated(self.engine, vector, found)
         return self._at_rows(vector, mean, cov)
 
-    def _before(self, vector: Array, found: Filtered) -> Path:
+    def _before(self, vector: Array, found: Filtered) -> _Coordinates:
         """The same before the measurements of each row."""
         z, p, y, variance = self._at_rows(vector, found.end_mean, found.end_cov)
         first = self.engine.problem.packed.row_index == 0
         y[first], variance[first] = np.nan, np.nan
         return z, p, y, variance
 
-    def _at_rows(self, vector: Array, mean: Array, cov: Array) -> Path:
+    def _at_rows(self, vector: Array, mean: Array, cov: Array) -> _Coordinates:
         """The moments [B, n] and [B, n, n] of the legs that end in rows, and what is measured there."""
         legs, n = self.engine.legs, mean.shape[1]
         ends = np.flatnonzero(legs.row >= 0)

@@ -440,7 +440,9 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         return []
     if not result.finished:  # that is said by itself
         return far
-    ended = [one for one in result.stages if most_iterations(one.name, options.effort) > 1][-1:]
-    full = [one for one in ended if one.iterations == most_iterations(one.name, options.effort)]
-    last = f" (`{full[0].name}` ended after its {full[0].iterations} iterations)" if full else ""
-    return [*far, *verdict.unrested(result.channels, last)]
+    ended = ""
+    for stage in result.stages:  # what the last stage of several iterations says
+        most = most_iterations(stage.name, options.effort)
+        if most > 1:
+            ended = f" (`{stage.name}` ended after its {most} iterations)" if stage.iterations == most else ""
+    return [*far, *verdict.unrested(result.channels, ended)]

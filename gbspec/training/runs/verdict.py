@@ -162,14 +162,14 @@ _OVERSTATED = "the likelihood takes them for independent nevertheless, so that i
 def unrested(channels: Mapping[str, ChannelRecord], ended: str) -> list[str]:
     """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself)."""
     found = _following(channels, VISIBLE)
-    if not found and any(one.r2 is not None and 1 - one.r2 > VISIBLE for one in channels.values()):
+    if not found and all(one.r2 is None or 1 - one.r2 <= VISIBLE for one in channels.values()):
+        return []
+    if not found:
         return [
             f"constants and functions have no intervals: the fit has not come to rest{ended}, or its equations are "
             "numerically singular. Its constants may be far from the best ones. What may help: `--effort high`, "
             "another `--seed`, narrower bounds, or `--solver ros34pw2` where solutions change fast"
         ]
-    if not found:
-        return []
     return [
         f"the residuals of {_listed(found, channels)} are autocorrelated, and the fit has not come to rest{ended}: "
         "they are errors of the fit or of the model, not noise of measurement, and constants have no intervals. What "
