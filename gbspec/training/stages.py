@@ -36,7 +36,9 @@ class StageName(StrEnum):
     FINER = "finer step"
     WEIGHTS = "channel weights"
     FURTHER = "further iterations"
+    FUNCTIONS = "functions alone"
     POOLED = "pooled fit"
+    POOLED_AGAIN = "pooled fit again"
     MARGINAL = "marginal likelihood"
     QUADRATURE = "quadrature"
     LBFGS = "lbfgs"
@@ -63,7 +65,9 @@ _MOST: Mapping[str, tuple[int, int, int]] = {
     StageName.FINER: (20, 50, 100),
     StageName.WEIGHTS: (8, 30, 60),
     StageName.FURTHER: (0, 0, 120),
+    StageName.FUNCTIONS: (20, 40, 100),
     StageName.POOLED: (20, 40, 100),
+    StageName.POOLED_AGAIN: (20, 40, 100),
     StageName.MARGINAL: (60, 200, 500),
     StageName.QUADRATURE: (60, 200, 500),
     StageName.INNOVATIONS: (40, 150, 400),

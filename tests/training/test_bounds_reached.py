@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import gbspec
@@ -102,3 +103,38 @@ def test_a_fit_says_that_its_constant_is_not_determined(tmp_path: Path) -> None:
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert any("`k` is not determined" in warning for warning in fit.warnings), fit.warnings
+
+
+FAST = """\
+model fast
+time t : s from 0
+state C in [0, 20]
+state R in [0, 20]
+learn k = 0.2 in [0.001, 10]
+learn s = 5 in [0.01, 100]
+learn d = 1 in [0.01, 100]
+C' = -k*C
+R' = s - d*R*(1 + 0.1*C)
+observe C
+observe R
+"""
+
+
+def test_a_constant_that_follows_from_another_ones_bound_has_no_interval(tmp_path: Path) -> None:
+    """Of a response that is at rest in all rows the data show s/d alone; both rates may be anything that is large."""
+    random, t = np.random.default_rng(5), np.arange(0, 31, 3.0)
+    rows = ["trajectory,t,C,R"]
+    for j, start in enumerate((10.0, 6.0, 14.0)):
+        c = start * np.exp(-0.1 * t)
+        each = (t, c + 0.05 * random.normal(size=11), 5 / (1 + 0.1 * c) + 0.02 * random.normal(size=11))
+        rows += [f"{j},{','.join(f'{value:.4f}' for value in row)}" for row in zip(*each, strict=True)]
+    (tmp_path / "m.gb").write_text(FAST)
+    (tmp_path / "d.csv").write_text("\n".join(rows) + "\n")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run").run.fit
+    assert fit.constants["k"].interval is not None
+    assert fit.constants["s"].value == pytest.approx(100)
+    assert fit.constants["d"].interval is None
+    assert any("`d` has no interval: the data tie its value to `s`" in warning for warning in fit.warnings)
+    found = gbspec.open_run(tmp_path / "run").profile("d")
+    assert found.low is not None
+    assert found.low < 10

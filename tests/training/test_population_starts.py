@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from gbspec.diagnostics import Findings
 from gbspec.operations import tables
+from gbspec.runs import ErrorsRecord
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines import choice
 from gbspec.training.population.pooled import pooled_model
+from gbspec.training.runs.populations import said_of_errors
 from tests.training.test_populations import NETWORK, model_of, table
 
 KNOWN = """model known
@@ -94,3 +97,50 @@ def test_a_pooled_search_that_ends_at_a_bound_is_not_the_only_start(tmp_path: Pa
         assert run.fit.population is not None
         found.append(run.fit.population.minus2ll)
     assert abs(found[0] - found[1]) < 0.1
+
+
+ORAL = """model oral
+time t : h from 0
+state A in [0, 400]
+state c in [0, 20]
+learn ka = 1 in [0.1, 10]
+learn V = 40 in [5, 200] per trajectory ~ lognormal
+unknown q(c) >= 0 by mlp(8) zero at c = 0
+A' = -ka*A
+c' = (ka*A - q(c))/V
+dose A
+initial A = 0
+initial c = 0
+observe c
+"""
+
+
+@pytest.mark.usefixtures("quick_fit")
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_pooled_fit_that_exchanges_two_rates_is_not_the_only_start(tmp_path: Path, seed: int) -> None:
+    """With the same constants for all subjects, slow absorption into a small volume fits as well as what is true."""
+    random, times = np.random.default_rng(2), np.array([0.5, 1, 2, 4, 8, 16, 24])
+    lines = ["trajectory,t,c,dose_A"]
+    for j in range(10):
+        volume, dose = 35 * np.exp(0.3 * random.normal()), (100.0, 200.0, 400.0)[j % 3]
+
+        def rates(t: float, x: np.ndarray, volume: float = volume) -> list[float]:
+            return [-1.2 * x[0], (1.2 * x[0] - 15 * x[1] / (1.5 + x[1])) / volume]
+
+        found = solve_ivp(rates, (0, 24.1), [dose, 0.0], t_eval=times, rtol=1e-8, atol=1e-8).y[1]
+        lines.append(f"{j},0,,{dose}")
+        values = found * (1 + 0.05 * random.normal(size=7)) + 0.02 * random.normal(size=7)
+        lines += [f"{j},{t},{value:.4f}," for t, value in zip(times, values, strict=True)]
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    model = model_of(ORAL, tmp_path)
+    data = tables.read_data(tmp_path / "d.csv", model, Findings())
+    fit = train(model, data, TrainOptions(effort="low", max_step=0.5, seed=seed), tmp_path / "run").fit
+    assert fit.constants["ka"].value == pytest.approx(1.2, rel=0.2)
+    assert fit.constants["V"].value == pytest.approx(35, rel=0.3)
+
+
+def test_values_that_are_not_distributed_as_the_model_says_are_told() -> None:
+    errors = {"good": ErrorsRecord(100, 0.1, 1.1, 0.2), "bad": ErrorsRecord(100, 0.1, 0.6, 1e-5)}
+    (said,) = said_of_errors(errors)
+    assert "`bad`" in said
+    assert "variance 0.6" in said

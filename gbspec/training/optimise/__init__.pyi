@@ -4,6 +4,7 @@ from .adam_update import one_cycle as one_cycle
 from .curvature import covariance as covariance
 from .curvature import lack_of_fit as lack_of_fit
 from .curvature import log_evidence as log_evidence
+from .curvature import loosened as loosened
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import Certainty as Certainty

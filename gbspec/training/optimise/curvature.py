@@ -29,6 +29,8 @@ NEGLIGIBLE = 1e-3
 """Eigenvectors along which the data reduce the prior's variance by less than this fraction are not stored."""
 UNTOLD = 1e-6
 """Extra weights of which the data tell less than this fraction apart from all others are left out of a test."""
+LEAST = 1e-12
+"""What is added to a normal matrix of unit diagonal before it is inverted."""
 FIXED_POINT = 100
 """Iterations of the evidence's fixed point."""
 
@@ -46,6 +48,35 @@ def covariance(engine: Engine, theta: Array) -> Covariance | None:
         return _solved(_Reduced.of(engine, system, theta), parameters, theta)
     except np.linalg.LinAlgError:
         return None
+
+
+def loosened(engine: Engine, theta: Array, held: Integers) -> Array | None:
+    """How many times as large the standard deviations of the shared constants [k] are with the constants `held` free as
+    with these fixed; None if it is not known or would take too long.
+
+    Each column of the normal matrix counts in its own size: those of constants near a bound are very small.
+    """
+    n = engine.parameters.n_weights
+    try:
+        reduced = _reduced_at(engine, theta)
+        if reduced is None:
+            return None
+        matrix = reduced.matrix()
+        if n:
+            coupling = np.linalg.solve(matrix[n:, n:] + reduced.weak * np.eye(len(matrix) - n), matrix[n:, :n])
+            values = np.linalg.eigvalsh(matrix[:n, :n] - matrix[:n, n:] @ coupling)
+            ridge, _ = _evidence(reduced, np.maximum(values, 0.0), theta[:n], reduced.used + len(matrix) - n)
+            matrix[:n, :n] += ridge * np.eye(n)
+        unit = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        matrix = unit[:, None] * matrix * unit + LEAST * np.eye(len(matrix))
+        free = np.diag(np.linalg.inv(matrix))[n:]
+        kept = np.setdiff1d(np.arange(len(matrix)), n + held)
+        fixed = np.diag(np.linalg.inv(matrix[np.ix_(kept, kept)]))[n:]
+    except np.linalg.LinAlgError:
+        return None
+    out = np.ones(len(free))
+    out[kept[n:] - n] = np.sqrt(np.maximum(free[kept[n:] - n] / fixed, 1.0))
+    return out
 
 
 def log_evidence(engine: Engine, theta: Array) -> float | None:

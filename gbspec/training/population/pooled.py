@@ -21,13 +21,15 @@ from gbspec.ir import Learnable, Model, Prior, Range
 from gbspec.training.engines import Engine, residual_table
 from gbspec.training.optimise import Outcome, Stage, State
 from gbspec.training.population.layout import Layout
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Bijection, Parameters
 
 INNER = "inner."
 NOTHING = 1e-9
 """The pooled value of an effect lies within this of 0."""
 FAR = 4.0
 """The effects of single trajectories, arguments of networks, lie within this of 0."""
+INSIDE = 1e-6
+"""The marginal likelihood begins at least so far inside of bounds, as a share of their range."""
 OF_RESIDUALS = 0.7
 """The first noise, as a part of the root mean square residual of the pooled fit, which contains the spreads too."""
 
@@ -59,22 +61,40 @@ def _pooled(learnable: Learnable, argument: bool) -> Learnable:
     return replace(learnable, per_trajectory=False, distribution=None)
 
 
-def pooled_parameters(parameters: Parameters) -> Parameters:
-    """The layout of the pooled model's vector."""
-    return replace(parameters, model=pooled_model(parameters.model))
+def pooled_parameters(parameters: Parameters, theta: Array | None = None) -> Parameters:
+    """The layout of the pooled model's vector; with a population's vector `theta`, all constants that trajectories
+    share are held at their values there."""
+    model = pooled_model(parameters.model)
+    if theta is None:
+        return replace(parameters, model=model)
+    with torch.no_grad():
+        table = parameters.constants(torch.from_numpy(theta)).numpy()[:, len(parameters.model.constants) :]
+    values = dict(zip((k.name for k in model.learnables), map(float, np.median(table, axis=0)), strict=True))
+    held = tuple(k if k.per_trajectory else _held(k, values[k.name]) for k in model.learnables)
+    return replace(parameters, model=replace(model, learnables=held))
+
+
+def _held(learnable: Learnable, value: float) -> Learnable:
+    """A constant that stays within `NOTHING` of a value."""
+    width = NOTHING * (abs(value) or 1.0)
+    return replace(learnable, range=Range(value - width, value + width), start=value, prior=None)
 
 
 class Pooled:
-    """A stage of the pooled model as one of the population: its vector is `engine.parameters`' own."""
+    """A stage of the pooled model as one of the population: its vector is `engine.parameters`' own.
 
-    def __init__(self, stage: Stage, engine: Engine, parameters: Parameters) -> None:
-        self.stage, self.engine, self.parameters = stage, engine, parameters
+    It begins where the stage before has ended, or at `start`.
+    """
+
+    def __init__(self, stage: Stage, engine: Engine, parameters: Parameters, start: Array | None = None) -> None:
+        self.stage, self.engine, self.parameters, self.start = stage, engine, parameters, start
         self.name, self.total = stage.name, stage.total
         self.layout = Layout(parameters)
 
     def begin(self, theta: Array) -> State:
         """The state of the inner stage."""
-        return self._whole(self.stage.begin(self.vector(theta)), theta)
+        first = theta if self.start is None else self.start
+        return self._whole(self.stage.begin(self.vector(first)), first)
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One step of the inner stage."""
@@ -123,7 +143,7 @@ class Pooled:
             first[made.median] = known[learnable.name]
             if made.kind == "normal" and made.spread is not None and made.spread not in known:
                 first[made.spread] = 0.3 * abs(known[learnable.name]) or first[made.spread]
-        natural = np.array([_inside(first[k.name], k) for k in self.layout.each], dtype=np.float64)
+        natural = np.array([Bijection.of(k).inside(first[k.name], INSIDE) for k in self.layout.each])
         out[self.layout.slice()] = self.layout.bijections.from_natural(natural)
         if whole.own:
             local = out[whole.n_shared :].reshape(whole.trajectories, whole.n_local)
@@ -145,11 +165,3 @@ class Pooled:
             if np.isfinite(size) and size > 0:
                 found[value.name] = OF_RESIDUALS * size
         return found
-
-
-def _inside(value: float, learnable: Learnable) -> float:
-    """A value within the bounds, not on them."""
-    low, high = learnable.range.low, learnable.range.high
-    width = high - low if np.isfinite(high - low) else abs(learnable.start) or 1.0
-    low, high = low + 1e-6 * width, high - 1e-6 * width
-    return float(np.clip(value, low, high))

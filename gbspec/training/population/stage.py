@@ -5,13 +5,13 @@ Between two iterations its state is the trainable vector, the modes z, the dampi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
 import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.diagnostics import ComputationError
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.population.likelihood import Likelihood
@@ -27,15 +27,17 @@ of the objective; the square root of this is about the error of a parameter in i
 FALL_OF_QUADRATURE = 1e-8
 """The same by quadrature, whose steps cost far more: the information is that of Laplace's method, so that they shrink
 by a constant factor."""
-SLOW, TIMES = 0.2, 2
-"""Where networks are learned, whose weights move along long flat valleys, the stage ends when the objective has fallen
-by less than this so many times in a row: a fifth of what one parameter without effect changes by chance."""
+SLOW, TIMES = 0.5, 5
+"""Where networks are learned, whose weights move along long flat valleys, the stage ends when so many iterations have
+lowered the objective by less than this: half of what one parameter without effect changes by chance."""
 OFTEN = 5
 """With networks the modes are sought from several starts in every so many iterations."""
 TRIALS = 14
 """Damped steps that are tried in one iteration."""
 STUCK, ROUND = 1e-3, 10
 """A constant closer to a bound than this part of the bounds' width is there; iterations from each start."""
+APART = 0.1
+"""Starts are different where a parameter differs by more than this: a factor of 1.35."""
 LONGEST = 0.7
 """No parameter moves further than this in one step: a factor of e^2."""
 
@@ -70,7 +72,10 @@ def modes_of(parameters: Parameters, likelihood: Likelihood, theta: Array) -> Ar
 class MarginalLikelihood:
     """The stage. By quadrature it begins with the maximum of Laplace's method, from which few steps are left.
 
-    With `search` a start that is a search's result, and may be at bounds, is not the only one.
+    With `others` the vector is not the only start: a pooled fit may have ended in a minimum that is not the
+    population's, or at bounds, from which a logistic scale does not lead away. What comes furthest in a few iterations
+    is gone on with. Others that lie elsewhere are starts, the last one only where constants are at bounds; so are
+    there, without networks, declared values in place of those at bounds, and of all.
     """
 
     def __init__(
@@ -81,35 +86,47 @@ class MarginalLikelihood:
         objective: Objective,
         ridge: float | None,
         failure: Failure,
-        search: bool = False,
+        others: Sequence[Array] | None = None,
     ) -> None:
         self.name, self.total, self.parameters = name, total, parameters
-        self.whole, self.failure, self.search = objective, failure, search
+        self.whole, self.failure, self.others = objective, failure, others
         self.objective = objective.by_laplace()
         self.layout, self.likelihood = objective.layout, objective.marginal.likelihood
         # None: the ridge of greatest evidence.
         self.ridge = ridge
 
     def begin(self, theta: Array) -> State:
-        """The state at a vector. Where a search has put constants to their bounds, from which a logistic scale does not
-        lead away, that is one of several starts: these constants, or all, may begin as declared. What comes furthest in
-        a few iterations is gone on with."""
-        others = self._others(theta) if self.search else []
-        return self._furthest([self._begun(each) for each in (theta, *others)]) if others else self._begun(theta)
+        """The state at a vector, or at another start that leads further."""
+        starts = [theta] if self.others is None else self._starts(theta, self.others)
+        states = [self._begun(each) for each in starts]
+        return self._furthest(states) if len(states) > 1 else states[0]
 
-    def _others(self, theta: Array) -> list[Array]:
+    def _starts(self, theta: Array, others: Sequence[Array]) -> list[Array]:
+        """The starts, different from each other."""
+        found = [theta]
+        for other in others[:-1]:
+            found += [other] if all(self._apart(other, one) for one in found) else []
+        stuck = [self._at_bounds(each) for each in found]
+        if not all(each.any() for each in stuck):
+            return found
+        return found + ([others[-1]] if others else self._declared(theta, stuck[0]))
+
+    def _apart(self, one: Array, other: Array) -> bool:
+        """Whether two vectors differ in a parameter by more than `APART`."""
+        return bool(np.abs(one[self.layout.slice()] - other[self.layout.slice()]).max(initial=0.0) > APART)
+
+    def _at_bounds(self, theta: Array) -> Mask:
+        """Which parameters [P] are at bounds."""
+        natural = self.layout.bijections.to_natural(torch.from_numpy(theta[self.layout.slice()])).numpy()
+        near = [
+            any(Bijection.of(k).distance(value, bound) < STUCK for bound in (k.range.low, k.range.high))
+            for k, value in zip(self.layout.each, natural, strict=True)
+        ]
+        return np.array(near, dtype=np.bool_)
+
+    def _declared(self, theta: Array, stuck: Mask) -> list[Array]:
         """The vectors with declared values in place of those at bounds, and of all."""
         layout, weights = self.layout, theta[: self.parameters.n_weights]
-        natural = layout.bijections.to_natural(torch.from_numpy(theta[layout.slice()])).numpy()
-        stuck = np.array(
-            [
-                any(Bijection.of(k).distance(value, bound) < STUCK for bound in (k.range.low, k.range.high))
-                for k, value in zip(layout.each, natural, strict=True)
-            ],
-            dtype=np.bool_,
-        )
-        if not stuck.any():
-            return []
         declared = layout.bijections.from_natural(np.array([k.start for k in layout.each], dtype=np.float64))
         none = np.zeros((self.likelihood.groups.count, self.likelihood.groups.size))
         return [
@@ -141,7 +158,7 @@ class MarginalLikelihood:
         first = 1.0 if self.ridge is None else self.ridge
         ridge = first if self.parameters.n_weights else 0.0
         state: State = {"theta": theta, "z": z, "damping": np.array(1e-3), "ridge": np.array(ridge)}
-        return state | {"slow": np.array(0.0), "quadrature": np.array(0.0)}
+        return state | {"falls": np.full(TIMES, np.inf), "quadrature": np.array(0.0)}
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One damped step. Raises ComputationError where the model cannot be solved at the present vector."""
@@ -159,12 +176,13 @@ class MarginalLikelihood:
         curvature = self.objective.curvature(now, ridge)
         new, promised, damping = self._trial(now, gradient, curvature, ridge, damping)
         fell = now.objective - new.objective
-        slow = float(state["slow"]) + 1 if self.parameters.n_weights and fell < SLOW else 0.0
+        falls = np.append(state["falls"][1:], fell)
         enough = max(FALL_OF_QUADRATURE if of_quadrature else FALL, self.likelihood.uncertain)
-        last = promised < enough * (1 + abs(now.objective)) or slow >= TIMES or new is now
+        slow = bool(self.parameters.n_weights) and float(falls.sum()) < SLOW
+        last = promised < enough * (1 + abs(now.objective)) or slow or new is now
         moved = vector_of(self.parameters, self.likelihood, new.weights, new.u, new.z)
         reached: State = {"theta": moved, "z": new.z, "damping": np.array(damping), "ridge": np.array(ridge)}
-        reached["slow"], reached["quadrature"] = np.array(slow), np.array(float(of_quadrature or last))
+        reached["falls"], reached["quadrature"] = falls, np.array(float(of_quadrature or last))
         if last and not of_quadrature and self.whole is not self.objective:
             reached["damping"], last = np.array(1e-3), False
         values = max(int(self.objective.marginal.predictions.problem.seen.sum()), 1)

@@ -87,6 +87,20 @@ class Bijection:
             return float(self._fraction(inside) if bound == self.low else self._rest(inside))
         return abs(value - bound) / (abs(self.start - bound) or self.scale)
 
+    def inside(self, value: float, share: float) -> float:
+        """The value, or what lies within the bounds by this share of the range on its scale (with a single bound: of
+        the starting value's distance from it)."""
+        if self.logarithmic:
+            place = np.log(np.clip(value, self.low, self.high) / self.low)
+            return self.low * float(np.exp(self.width * self._clipped(place, share)))
+        if self.two_sided:
+            return self.low + self.width * self._clipped(np.array(value - self.low), share)
+        least = share * (abs(self.start - (self.low if math.isfinite(self.low) else self.high)) or self.scale)
+        return float(np.clip(value, self.low + least, self.high - least))
+
+    def _clipped(self, place: Array, share: float) -> float:
+        return float(np.clip(place / self.width, share, 1 - share))
+
     # ---------------------------------------------------------------- natural values from raw ones
     @property
     def kind(self) -> tuple[bool, ...]:

@@ -40,7 +40,7 @@ from gbspec.training.optimise import (
     require_finite,
 )
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Parameters, Problem, typical
+from gbspec.training.problem import Bijection, Parameters, Problem, typical
 from gbspec.training.profile.agreement import Comparison, Found, compared, narrowing
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.store import Kept
@@ -55,6 +55,10 @@ NEAR = 0.75, 1.25
 """A side is complete with a point outside if it or the last one inside is within these fractions of its root."""
 WIDEST = 0.5
 """Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
+INSIDE = 1e-3
+"""Fits begin with constants off their bounds by this share of the range."""
+BENT = 0.05
+"""Within this share of the range from a bound the scale of training is bent."""
 ACCURACY = 0.01
 """A fit has converged if its deviance is not predicted to decrease by more than this."""
 AGAIN = 12
@@ -239,7 +243,7 @@ class _Profiler:
         residuals = residual_vector(engine, rest.theta)
         self.variance = max(noise_variance(engine.problem, residuals, float("inf"), freedom), CLEAN**2)
         self.target = self._penalised(self.target.ridge, self.variance)
-        self.anchor = self._anchor(rest.theta)
+        self.found, self.anchor = rest.theta, self._anchor(rest.theta)
         self.deviation = math.sqrt(self.anchor.variance * self.variance)
         if self.target.ridge > first.ridge:
             self._compare(first, rest.theta)
@@ -299,11 +303,24 @@ class _Profiler:
         known = self.kept.find(entry, self.target.ridge)
         if known is not None:
             return self._fitted(known)
-        start = neighbour.theta + (entry - neighbour.theta[self.column]) * self.anchor.path
-        rest = self._followed(start, self.anchor, self.column)
+        rest = self._followed(self._along_path(neighbour.theta, entry), self.anchor, self.column)
         if self._at_rest(rest):
             self.kept.add(entry, self.target.ridge, rest)
         return self._fitted(rest)
+
+    def _along_path(self, theta: Array, entry: float) -> Array:
+        """The vector on the linear path from a vector to where the constant has its entry at `entry`. Constants that
+        the fit has near bounds, where the scale of training is bent, move along in their own unit."""
+        step = (entry - theta[self.column]) * self.anchor.path
+        maps, places = self.parameters.bijections(self.parameters.shared), self.parameters.places
+        out = np.asarray(theta + step, dtype=np.float64)
+        before, found = (maps.to_natural(torch.from_numpy(one[places])).numpy() for one in (self.found, theta))
+        bent = [one.inside(float(value), BENT) != value for one, value in zip(maps.each, before, strict=True)]
+        bent[self.place] = False
+        moved = found + maps.derivative(self.found[places]) * step[places]
+        inside = np.array([one.inside(float(value), INSIDE) for one, value in zip(maps.each, moved, strict=True)])
+        out[places] = np.where(bent, maps.from_natural(inside), out[places])
+        return out
 
     def _followed(self, theta: Array, anchor: Anchor | None, held: int | None) -> Rest:
         """Iterates until convergence, or as often as allowed, with a new Jacobian whenever the last one is too far
@@ -349,9 +366,12 @@ class _Profiler:
         return {k: v for k, v in self.weights.items() if k.startswith("network.") and k not in trained}
 
     def _vector(self, parameters: Parameters, context: Context) -> Array:
-        """The vector of the run's weights file."""
-        known = len(context.model.constants)
-        table = np.tile(np.asarray(self.weights["constants"])[known:], (parameters.trajectories, 1))
+        """The vector of the run's weights file; constants at bounds, from which no fit moves, are a little off them."""
+        values = self.weights["constants"][len(context.model.constants) :]
+        moved = [
+            Bijection.of(k).inside(float(v), INSIDE) for k, v in zip(context.model.learnables, values, strict=True)
+        ]
+        table = np.tile(np.array(moved), (parameters.trajectories, 1))
         for i, learnable in enumerate(context.model.learnables):
             own = self.weights.get(f"per_trajectory.{learnable.name}")
             if own is not None and len(own) == len(table):

@@ -36,6 +36,8 @@ AUTOMATIC: Mapping[int, int] = {1: 9, 2: 7}
 """Nodes in each dimension of a quadrature that the fit itself asks for, by the number of dimensions of a unit."""
 MOVES = 0.2
 """It asks for one that would move a parameter by more than this many of its standard deviations."""
+OTHERS = (StageName.POOLED, StageName.FUNCTIONS)
+"""Stages whose ends are further starts of the marginal likelihood where they lie elsewhere than the last one's."""
 SHOWS, SHOWS_WITH_NETWORKS = 0.02, 0.5
 """The step is halved where that changes -2 log likelihood by more than this."""
 
@@ -87,20 +89,25 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
         patience: Effort = "high" if effort == "high" else "low"
         return Pooled(Search(engine, forced, context.seed, patience), engine, parameters)
 
-    def least_squares(reached: Reached) -> Stage:
-        engine = context.engine(pooled, 0.0)
-        options = replace(regular(reached.theta), tolerance=1e-3, evidence=False)
-        total = most_iterations(StageName.POOLED, effort)
-        inner = LevenbergMarquardt(StageName.POOLED.value, total, lambda iteration: engine, options)
-        return Pooled(inner, engine, parameters)
+    def fitted(name: StageName) -> Planned:
+        total = most_iterations(name, effort)
+
+        def least_squares(reached: Reached) -> Stage:
+            options = replace(regular(reached.theta), tolerance=1e-3, evidence=False)
+            layout = pooled_parameters(parameters, reached.theta) if name is StageName.FUNCTIONS else pooled
+            engine = context.engine(layout, 0.0)
+            start = reached.marks[StageName.WARM_START] if name is StageName.POOLED_AGAIN else None
+            return Pooled(LevenbergMarquardt(name.value, total, lambda i: engine, options), engine, parameters, start)
+
+        return Planned(name, total, least_squares)
 
     first = (
-        Planned(StageName.POOLED, most_iterations(StageName.POOLED, effort), least_squares)
+        [fitted(name) for name in (StageName.FUNCTIONS, StageName.POOLED, StageName.POOLED_AGAIN)]
         if parameters.n_weights
-        else Planned(StageName.SEARCH, PATIENCE[effort].improved, search)
+        else [Planned(StageName.SEARCH, PATIENCE[effort].improved, search)]
     )
     finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
-    return [first, likelihoods.marginal(), *finer, likelihoods.quadrature()]
+    return [*first, likelihoods.marginal(), *finer, likelihoods.quadrature()]
 
 
 class _Likelihoods:
@@ -115,7 +122,8 @@ class _Likelihoods:
         """Laplace's method, or the quadrature that was requested."""
 
         def make(reached: Reached) -> Stage:
-            return self._maximised(StageName.MARGINAL, *reached.begun)
+            others = [reached.marks[name] for name in OTHERS if name in reached.marks]
+            return self._maximised(StageName.MARGINAL, *reached.begun, others=others)
 
         return Planned(StageName.MARGINAL, self._most, make)
 
@@ -157,15 +165,14 @@ class _Likelihoods:
             self._objectives[key] = marginal_objective(self._context, self._parameters, begun)
         return self._objectives[key]
 
-    def _maximised(self, name: StageName, *begun: str) -> Stage:
+    def _maximised(self, name: StageName, *begun: str, others: Sequence[Array] | None = None) -> Stage:
         context, parameters = self._context, self._parameters
 
         def failure(theta: Array) -> Exception:
             return explain_failure(context.problem(0.0, step_fraction(begun)), parameters, theta, name.value)
 
-        ridge = _ridge(context)
-        objective, search = self._objective(*begun), name is StageName.MARGINAL and not parameters.n_weights
-        return MarginalLikelihood(name.value, self._most, parameters, objective, ridge, failure, search)
+        objective = self._objective(*begun)
+        return MarginalLikelihood(name.value, self._most, parameters, objective, _ridge(context), failure, others)
 
     def _at(self, objective: Objective, reached: Reached) -> Point:
         """The point that has been reached."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,9 @@ from gbspec.training.runs.summary import MemberResult
 
 VANISHED = 1e-3
 """A spread of logarithms (of logits; relative to the start of a normal one) below this is none."""
+
+UNLIKE = 1e-3
+"""Prediction errors that chance would give in fewer fits than this are not those of the model."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +65,10 @@ def with_population(
         noise=_noise(context, found, objective),
     )
     tables = _tables(context, found, objective)
-    made_result.left += _vanished(objective, found)
+    errors = _errors(context, tables)
+    made_result.left += [*_vanished(objective, found), *said_of_errors(errors)]
     return made_result, Described(
-        replace(_record(context, found, objective), npde=_errors(context, tables)),
+        replace(_record(context, found, objective), npde=errors),
         _objective(found, objective),
         tables,
         _info(objective, found),
@@ -97,6 +101,19 @@ def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecor
         if found is not None:
             out[channel.name] = ErrorsRecord(found.n, found.mean, found.variance, found.p)
     return out
+
+
+def said_of_errors(errors: Mapping[str, ErrorsRecord]) -> list[str]:
+    """A warning for each channel whose values are not distributed as the model says."""
+    return [
+        f"the values of `{name}` are not distributed as the model says: their prediction errors have the mean "
+        f"{one.mean:.2g} and the variance {one.variance:.3g} (0 and 1 if it were right; p = {one.p:.1g}). See `gbspec "
+        "plot RUN prediction-errors` and `predictive-check`; what differs may be the noise (one part in proportion to "
+        "the value: `noise normal(sqrt(a^2 + (b*y)^2))`), a distribution, a known term, or the fit itself: compare "
+        "other seeds (`--seed`)"
+        for name, one in errors.items()
+        if one.p is not None and one.p < UNLIKE
+    ]
 
 
 def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:

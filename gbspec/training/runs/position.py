@@ -14,7 +14,7 @@ from gbspec.runs import JsonError, StageRecord, decode, files
 from gbspec.training.optimise import Certainty, State
 from gbspec.training.runs.remarks import Remarks
 
-EDITION = 2
+EDITION = 3
 """The edition of the stages' states. A stage in a checkpoint of an earlier one begins again at the vector it had."""
 
 
