@@ -31,6 +31,7 @@ class StageName(StrEnum):
     AS_ASKED = "forcing as asked"
     SEARCH = "search"
     LEAST_SQUARES = "least squares"
+    SEARCH_STARTS = "search, starts too"
     LEAST_SQUARES_STARTS = "least squares, starts too"
     CUT = "cut steps"
     FINER = "finer step"

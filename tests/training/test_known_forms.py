@@ -164,3 +164,15 @@ def test_a_model_that_no_start_solves_says_where_and_why(tmp_path: Path) -> None
     with pytest.raises(ComputationError, match="cannot be solved from any of 66 starts") as caught:
         train(model_of(text), data, TrainOptions(effort="low"), tmp_path / "r")
     assert "x'" in caught.value.what and "`one`" in str(caught.value.where)
+
+
+def test_small_errors_of_first_values_that_grow_are_not_believed(tmp_path: Path) -> None:
+    """Noise of 0.15 % of the deviations is 3 % of the first value, with which the whole solution is multiplied."""
+    times = np.linspace(0, 4, 21)
+    noise = 0.02 * np.random.default_rng(3).standard_normal(21)
+    noise[0] = 0.03
+    text = "model growth\nstate x\nlearn r = 0.5 in [0, 5]\nx' = r*x\nobserve x\n"
+    data = Trajectories((trajectory("one", 0.0, times, (np.exp(times) + noise)[:, None], []),), ("x",))
+    fit = train(model_of(text), data, TrainOptions(), tmp_path / "run").fit
+    assert fit.constants["r"].value == pytest.approx(1, abs=1e-3)
+    assert [stage.name for stage in fit.members[0].stages].count("least squares, starts too") == 1

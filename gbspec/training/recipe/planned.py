@@ -15,13 +15,15 @@ from gbspec.training.stages import StageName
 @dataclass(frozen=True)
 class Reached:
     """The progress of a fit: the vector, the vectors at the ends of the previous stages, by their names, the names of
-    all stages that have begun, and the ridge and the damping of the last one that had any (0: none)."""
+    all stages that have begun, the ridge and the damping of the last one that had any (0: none), and how many
+    iterations each stage took."""
 
     theta: Array
     marks: Mapping[str, Array] = field(default_factory=dict)
     begun: Sequence[str] = ()
     ridge: float = 0.0
     damping: float = 0.0
+    iterations: Mapping[str, int] = field(default_factory=dict)
 
 
 Decision = Callable[[Reached], bool]

@@ -20,7 +20,7 @@ from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
-from gbspec.training.recipe.judging import FEW, NOISE, Judged, unmeasured
+from gbspec.training.recipe.judging import FEW, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
@@ -30,7 +30,7 @@ from gbspec.training.recipe.thresholds import ThresholdSearch, learned_threshold
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
 from gbspec.training.recipe.whole import ENOUGH, ROUNDING, demanding, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts import PATIENCE, Search
+from gbspec.training.starts import PATIENCE, WITH_STARTS, Search
 
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
@@ -43,6 +43,9 @@ FIRST_RIDGE = 1e-3
 SPREAD = 0.07
 """A fit under the evidence's ridge rests where iterations move predictions by less than this many of their standard
 deviations; what moves them less only shrinks weights that the data leave open."""
+BELIEVED = 1e-3
+"""Measured initial values of known forms are taken as exact up to this typical residual, in standard deviations of the
+data: whole solutions may amplify their errors."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
@@ -130,8 +133,18 @@ class _Planner:
             return (
                 measured
                 and blend == 0.0
-                and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
+                and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > BELIEVED
             )
+
+        def unsure(reached: Reached) -> bool:
+            """Whether the search with initial values as measured did not find its best minimum several times."""
+            found = reached.iterations.get(StageName.SEARCH, 0) >= PATIENCE[self.options.effort].improved
+            return found and StageName.HORIZONS not in reached.marks and believed(reached)
+
+        def with_starts(reached: Reached) -> Stage:
+            patience, name = WITH_STARTS[self.options.effort], StageName.SEARCH_STARTS
+            engine, drawn = context.engine(self.released, 0.0), parameters.start_free
+            return Search(engine, None, context.seed, self.options.effort, None, patience, name, drawn)
 
         segments = SegmentsOfKnown(context, self.released, self.judged.whole_astray, self.effort)
 
@@ -146,6 +159,7 @@ class _Planner:
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             *([segments.planned()] if blend == 0.0 else []),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain, segments.discarded),
+            Planned(StageName.SEARCH_STARTS, WITH_STARTS[self.options.effort].improved, with_starts, unsure),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
             cut_steps(context, known, self.effort),
             *(

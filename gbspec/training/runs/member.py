@@ -202,7 +202,8 @@ class _Runner:
 
     def _reached(self, theta: Array, begun: list[str]) -> Reached:
         position = self.position
-        return Reached(theta, position.marks, begun, position.ridge, position.damping)
+        taken = {stage.name: stage.iterations for stage in position.stages}
+        return Reached(theta, position.marks, begun, position.ridge, position.damping, taken)
 
     def _after_failure(self, planned: Planned, error: ComputationError) -> str:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""

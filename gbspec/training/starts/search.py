@@ -75,6 +75,12 @@ PATIENCE: Mapping[Effort, Patience] = {
     "normal": Patience(256, 64, 8, 3),
     "high": Patience(1024, 192, 24, 6),
 }
+WITH_STARTS: Mapping[Effort, Patience] = {
+    "low": Patience(64, 6, 4, 2),
+    "normal": Patience(256, 16, 6, 3),
+    "high": Patience(1024, 48, 12, 6),
+}
+"""The same where measured initial values are estimated too, after a search in which they were taken as they are."""
 
 
 def patience_of(effort: Effort, engine: Engine) -> Patience:
@@ -104,10 +110,9 @@ class Search:
 
     Every third start is first improved with teacher forcing by `forced`: errors from one measurement to the next have
     fewer minima than those of whole solutions, whose best one they often lead to. The initial values of states of
-    unknown size (`unsized`) are solved for at each draw: they go with its constants.
+    unknown size (`unsized`) are solved for at each draw: they go with its constants. Of other learned initial states
+    those are drawn that `drawn` [N, n_states] has as 1 (default: all).
     """
-
-    name = StageName.SEARCH.value
 
     def __init__(
         self,
@@ -117,9 +122,12 @@ class Search:
         effort: Effort,
         unsized: Mask | None = None,
         patience: Patience | None = None,
+        name: StageName = StageName.SEARCH,
+        drawn: Array | None = None,
     ) -> None:
+        self.name = name.value
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
-        self.unsized = unsized
+        self.unsized, self.drawn = unsized, self.parameters.start_free if drawn is None else drawn
         self.patience = patience or patience_of(effort, engine)
         self.options, self.iterations = OPTIONS, ITERATIONS
         columns = self.parameters.n_shared + self.parameters.n_local
@@ -260,7 +268,7 @@ class Search:
             drawn = parameters.vector(parameters.natural(theta), natural[i])
             blocks = self._blocks(theta, drawn)
             if i % 2:
-                blocks[:, len(parameters.own) :] += parameters.start_free * (2 * points[i, n_constants:] - 1)
+                blocks[:, len(parameters.own) :] += self.drawn * (2 * points[i, n_constants:] - 1)
             drawn[parameters.n_shared :] = blocks.ravel()
             out.append(drawn if self.unsized is None else solved_starts(self.engine, drawn, self.unsized))
         return np.array(out)
