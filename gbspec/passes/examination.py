@@ -26,4 +26,6 @@ def examine(model: Model, findings: Findings) -> Examination:
     refuses (GB790)."""
     unknown_starts(model, findings)
     laws = () if model.events else linear_laws(model)  # an event may change any of them; delayed values are like inputs
+    disturbed = {one.state for one in model.diffusions}  # independent disturbances do not cancel
+    laws = tuple(law for law in laws if not disturbed & {name for name, _ in law.coefficients})
     return Examination(laws, identifiability(model, findings), bool(model.diffusions))

@@ -8,6 +8,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir.model import Model
 from gbspec.passes.claims import check_claims
 from gbspec.passes.conservation import Law, linear_laws
+from gbspec.passes.examination import examine
 from tests.effort import calls
 from tests.texts import ROOT, model_at, model_of
 
@@ -112,3 +113,12 @@ def test_what_remains_is_shown() -> None:
     (finding,) = findings
     assert "10*D" in finding.label
     assert [label.span.text for label in finding.labels] == ["X", "S"]
+
+
+def test_disturbed_states_conserve_nothing() -> None:
+    text = (
+        "model m\nstate x\nstate y\nstate z\nstate w\nlearn k = 1\nx' = -k*x\ny' = k*x\nz' = -k*z\nw' = k*z\n"
+        "diffusion x = 0.1\nobserve x\n"
+    )
+    examination = examine(model_of(text), Findings())
+    assert [str(law) for law in examination.laws] == ["w + z"]

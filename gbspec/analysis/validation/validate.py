@@ -211,7 +211,8 @@ def validate(
         worst = worst_row(trajectories, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], step, trajectories.items, each[0])
-        warnings += _data_warnings(errors)
+        own = any(k.per_trajectory for k in run.model.learnables)
+        warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         solved = [one.states for one in predicted if not one.failure]
         warnings += states_far_outside(run.model, np.concatenate(solved)) if solved else []
     if check.warning:
@@ -270,7 +271,7 @@ def worst_row(trajectories: Trajectories, predictions: Sequence[Prediction]) -> 
     return found
 
 
-def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
+def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:
     warnings = [
         f"trajectory `{one.trajectory}` could not be solved and is excluded from all errors: {one.failure}"
         for one in errors
@@ -286,8 +287,8 @@ def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
     if estimated:
         listed = ", ".join(f"`{label}`" for label in estimated[:5]) + (", ..." if len(estimated) > 5 else "")
         warnings.append(
-            f"the initial states of {len(estimated)} trajectories that training did not see ({listed}) were estimated "
-            "from the same measurements that the errors are computed from"
+            f"the {what} of {len(estimated)} trajectories that training did not see ({listed}) were estimated from the "
+            "same measurements that the errors are computed from"
         )
     return warnings
 
