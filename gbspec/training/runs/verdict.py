@@ -96,8 +96,15 @@ def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: M
             f"{found.outliers} of {found.values} residuals of `{name}` are far from all others, and leave most of the "
             "sum of squares: they are outliers, or rows that the model does not follow. As outliers they move the fit "
             f"and widen its intervals: leave these cells empty{student}"
+            + ("" if model is None or model.networks else _UNFOLLOWED)
         )
     return out
+
+
+_UNFOLLOWED = (
+    ". Rows around a fast change that is predicted too early or too late say that the fit is in another minimum, or "
+    "its steps are too long: `--effort high`, narrower bounds, `--solver ros34pw2`"
+)
 
 
 def widening(channels: Mapping[str, ChannelRecord]) -> float:
