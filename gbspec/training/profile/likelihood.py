@@ -45,7 +45,7 @@ from gbspec.training.profile.agreement import Comparison, Found, compared, narro
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
-from gbspec.training.runs import agreed, widening
+from gbspec.training.runs import agreed, at_bounds, widening
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
@@ -57,8 +57,6 @@ WIDEST = 0.5
 """Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
 INSIDE = 1e-3
 """Fits begin with constants off their bounds by this share of the range."""
-BENT = 0.05
-"""Within this share of the range from a bound the scale of training is bent."""
 ACCURACY = 0.01
 """A fit has converged if its deviance is not predicted to decrease by more than this."""
 AGAIN = 12
@@ -222,6 +220,7 @@ class _Profiler:
         self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
         self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
         self.column = self.parameters.n_weights + self.place
+        self.ended = {one for one, _ in at_bounds(run.model, self._known())}
         self.begin = self._vector(self.parameters, self.free)
         self.kept = Kept.of(run, member, name, trajectories)
         self.notes: list[str] = []
@@ -310,13 +309,12 @@ class _Profiler:
 
     def _along_path(self, theta: Array, entry: float) -> Array:
         """The vector on the linear path from a vector to where the constant has its entry at `entry`. Constants that
-        the fit has near bounds, where the scale of training is bent, move along in their own unit."""
+        the fit has at bounds, where the scale of training is bent, move along in their own unit."""
         step = (entry - theta[self.column]) * self.anchor.path
         maps, places = self.parameters.bijections(self.parameters.shared), self.parameters.places
         out = np.asarray(theta + step, dtype=np.float64)
-        before, found = (maps.to_natural(torch.from_numpy(one[places])).numpy() for one in (self.found, theta))
-        bent = [one.inside(float(value), BENT) != value for one, value in zip(maps.each, before, strict=True)]
-        bent[self.place] = False
+        found = maps.to_natural(torch.from_numpy(theta[places])).numpy()
+        bent = [self.model.learnables[i].name in self.ended - {self.name} for i in self.parameters.shared]
         moved = found + maps.derivative(self.found[places]) * step[places]
         inside = np.array([one.inside(float(value), INSIDE) for one, value in zip(maps.each, moved, strict=True)])
         out[places] = np.where(bent, maps.from_natural(inside), out[places])
@@ -365,12 +363,15 @@ class _Profiler:
         trained = self.free.parameters({}).weight_shapes
         return {k: v for k, v in self.weights.items() if k.startswith("network.") and k not in trained}
 
+    def _known(self) -> dict[str, float]:
+        """The run's constants by their names."""
+        values = self.weights["constants"][len(self.model.constants) :]
+        return {k.name: float(value) for k, value in zip(self.model.learnables, values, strict=True)}
+
     def _vector(self, parameters: Parameters, context: Context) -> Array:
         """The vector of the run's weights file; constants at bounds, from which no fit moves, are a little off them."""
-        values = self.weights["constants"][len(context.model.constants) :]
-        moved = [
-            Bijection.of(k).inside(float(v), INSIDE) for k, v in zip(context.model.learnables, values, strict=True)
-        ]
+        learnables, known = context.model.learnables, self._known()
+        moved = [Bijection.of(k).inside(known[k.name], INSIDE if k.name in self.ended else 0.0) for k in learnables]
         table = np.tile(np.array(moved), (parameters.trajectories, 1))
         for i, learnable in enumerate(context.model.learnables):
             own = self.weights.get(f"per_trajectory.{learnable.name}")

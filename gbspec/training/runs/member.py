@@ -389,7 +389,8 @@ class _Runner:
     def _tied(self, result: MemberResult, stages: list[StageRecord]) -> list[str]:
         """Takes their intervals from constants that follow from another one's bound, and says so."""
         model, names = self.context.model, [stage.name for stage in stages]
-        ended = [name for name, _ in at_bounds(model, result.constants, result.sd)] if result.loss > EXACT else []
+        at = dict(at_bounds(model, result.constants, result.sd)) if result.loss > EXACT else {}
+        ended = [name for name in self._shared_names() if name in at]
         if not ended or model.diffusions:
             return []
         blend = 0.0 if whole_solutions(self.context, self.parameters, names) else self.context.options.blend
