@@ -96,7 +96,8 @@ def _torch_root(equations: Any, block: Any, math: Any, given: Any, known: Any, l
     import torch
 
     residual, state = getattr(equations, block[0]), given[1]
-    found, slopes, point = (_torch_search if not block[1] else _numpy_search_of)(equations, block, math, given, known)
+    exact = bool(block[1]) or (state.dtype == torch.float64 and state.device.type == "cpu")
+    found, slopes, point = (_numpy_search_of if exact else _torch_search)(equations, block, math, given, known)
     if last or not torch.is_grad_enabled():
         return point if last else found
     for _ in range(2):
@@ -111,7 +112,8 @@ def _torch_divided(slopes: Any, g: Any) -> Any:
 
 
 def _torch_search(equations: Any, block: Any, math: Any, given: Any, known: Any) -> Any:
-    """As from `_newton`, with derivatives by torch; for equations with unknown functions."""
+    """As from `_newton`, with derivatives by torch; for equations with unknown functions in single precision, or on
+    another device."""
     import torch
     from torch import Tensor
 
@@ -151,7 +153,19 @@ def _numpy_search_of(equations: Any, block: Any, math: Any, given: Any, known: A
             return tuple(map(plain, value))
         return value.detach().cpu().double().numpy() if isinstance(value, torch.Tensor) else value
 
-    found = _numpy_search(equations, block, _numpy_arithmetic(), (*map(plain, given[:5]), ()), plain(known))
+    class Plain:  # a network over arrays, with its scales
+        def __init__(self, network: Any) -> None:
+            self.network = network
+
+        def __getattr__(self, name: str) -> Any:
+            return plain(getattr(self.network, name))
+
+        def __call__(self, *arguments: Any) -> Any:
+            with torch.no_grad():
+                return plain(self.network(*map(torch.tensor, arguments)))
+
+    networks = () if block[1] else tuple(Plain(getattr(one, "quiet", one)) for one in given[5])
+    found = _numpy_search(equations, block, _numpy_arithmetic(), (*map(plain, given[:5]), networks), plain(known))
     state = given[1]
     return tuple(torch.as_tensor(part, dtype=state.dtype, device=state.device) for part in found)
 
