@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gbspec.analysis.prediction.noise import depends_on_value, residual_noise
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
@@ -55,6 +56,15 @@ REFINED, AGREED, SAME = 6, 2, 1e-3
 """and up to `REFINED` of these further, until `AGREED` have led to the best cost, up to the fraction `SAME`."""
 
 
+LEAST_NOISE = 1e-3
+"""No value counts with less noise than this part of the median one."""
+AGAIN = 3
+"""How often a trajectory is estimated where its noise depends on its prediction: with the noise at the data first, then
+at the solution before."""
+Varying = Callable[[Array], Array]
+"""The standard deviations of residuals [R, C], in the channels' units or of logarithms, at predicted channels."""
+
+
 @dataclass(frozen=True)
 class Prior:
     """The prior of initial states: center and standard deviation [n] of the states."""
@@ -87,6 +97,8 @@ def predictions(
     """
     scales = scales_of(model, trajectories) if fit is None else fit.scales_for(model, trajectories)
     estimator = Estimator(evaluator, model, scales)
+    if fit is not None and model.marginal:  # what single trajectories have for themselves has a distribution
+        estimator = estimator_of(evaluator, model, fit, scales)
     positions = learned_positions(evaluator.instance, trajectories, None if fit is None else fit.data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
@@ -95,14 +107,33 @@ def predictions(
     return [predict(evaluator, model, item, start) for item, start in zip(trajectories.items, starts, strict=True)]
 
 
+def estimator_of(
+    evaluator: Evaluator, model: Model, fit: FitRecord, scales: Scales, released: bool = False
+) -> Estimator:
+    """The estimator with the noise that a fit has found."""
+    noise = residual_noise(model, fit, np.ones(len(model.channels)))
+    if not depends_on_value(model, fit):
+        return Estimator(evaluator, model, scales, noise, released)
+    noise = np.array([fit.noise.get(channel.name) or 0.0 for channel in model.channels])
+    return Estimator(evaluator, model, scales, noise, released, lambda values: residual_noise(model, fit, values))
+
+
 class Estimator:
     """Least squares for the initial state of one trajectory. `scales` are those of the whole table that it is from;
     `noise` [C], if known, is the standard deviation of measurements of each channel (of logarithms, if log-normal).
+    `varying` gives it at predicted channels [R, C] where it depends on them.
     `released`: initial values that the first row measures are estimated too, and that row is data like all others."""
 
     def __init__(
-        self, evaluator: Evaluator, model: Model, scales: Scales, noise: Array | None = None, released: bool = False
+        self,
+        evaluator: Evaluator,
+        model: Model,
+        scales: Scales,
+        noise: Array | None = None,
+        released: bool = False,
+        varying: Varying | None = None,
     ) -> None:
+        self.varying = varying
         self.evaluator, self.model, self.scales, self.released = evaluator, model, scales, released
         self.noise = np.zeros(len(model.channels)) if noise is None else noise / scales.channel
         self.pull = max(PULL, float(np.median(self.noise)))
@@ -176,11 +207,13 @@ class Estimator:
                 k = np.clip(k, self.low, self.high)
             return started(self.evaluator, item, x0, k, "estimated")
 
+        weights = self._weights(item.values)
+
         def errors(z: Array) -> Array:
             found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)
             if found.failure:
                 return worst
-            return np.concatenate([self.residuals(item, found.channels)[measured], self.pull * z])
+            return np.concatenate([(weights * self.residuals(item, found.channels))[measured], self.pull * z])
 
         with np.errstate(over="ignore"):  # squares of a diverging solution: its cost is infinite
             trials = self._trials(scale, constants)
@@ -188,7 +221,27 @@ class Estimator:
             solved = [trials[i] for i in np.argsort(costs, kind="stable") if costs[i] < float(np.sum(worst**2))]
             if not solved:
                 return Start(state, constants, "failed", "no initial state was found from which it can be integrated")
-            return moved(self._refined(errors, solved, self._ends(scale, constants)))
+            found = self._refined(errors, solved, ends := self._ends(scale, constants))
+            for _ in range(AGAIN - 1 if self.varying is not None else 0):
+                solution = predict(self.evaluator, self.model, item, moved(found), TOLERANCE)
+                if solution.failure:
+                    break
+                weights = self._weights(solution.channels)
+                found = _least(errors, found, ends, 20)[1]
+            return moved(found)
+
+    def _weights(self, channels: Array) -> Array | float:
+        """The weights [R, C] of residuals whose noise depends on the channels [R, C]; 1 without."""
+        if self.varying is None:
+            return 1.0
+        return np.asarray(self.pull / self.deviation(channels), dtype=np.float64)
+
+    def deviation(self, channels: Array) -> Array:
+        """The standard deviations of residuals at predicted channels [R, C], in units of the channels' scales."""
+        if self.varying is None:
+            return np.broadcast_to(self.noise, channels.shape)
+        found = self.varying(np.where(np.isfinite(channels), channels, 0.0)) / self.scales.channel
+        return np.maximum(found, LEAST_NOISE * self.pull)
 
     def _refined(self, errors: Callable[[Array], Array], trials: list[Array], ends: tuple[Array, Array]) -> Array:
         """The best of the refined guesses: of the first one alone, if no constants have a range of their own."""

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import polars as pl
 
-from gbspec.analysis.prediction.displaced import Displaced
-from gbspec.analysis.prediction.estimate import Estimator
+from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
+from gbspec.analysis.prediction.estimate import estimator_of
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import (
     Prediction,
@@ -45,7 +45,7 @@ Use = Literal["training", "window", "predicted"]
 
 SHARE, LEAST = 3, 3
 """The default window: one third (1/`SHARE`) of the measured rows, but at least `LEAST`."""
-NUDGE = 1e-4
+NUDGE = 1e-3
 """The step of the finite differences that propagate the uncertainty of an estimated initial value, in units of its
 prior standard deviation."""
 
@@ -110,8 +110,8 @@ class Forecast(Tabled):
     def to_frame(self) -> pl.DataFrame:
         """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
 
-        `used` is `training`, `window` (the initial state was estimated from this row) or `predicted`; `outside` names
-        the states and conditions that lie beyond the range in which the model was trained.
+        `used` is `training`, `window` (initial states and own constants were estimated from this row) or `predicted`;
+        `outside` names the states and conditions that lie beyond the range in which the model was trained.
         """
         times = np.concatenate([np.zeros(0), *(item.times for item in self.items)])
         columns: dict[str, pl.Series] = {
@@ -191,7 +191,7 @@ class Forecast(Tabled):
 ORIGINS = {
     "learned": "part of the training data: predicted from the learned initial state",
     "known": "the initial state is given by the first row and the model",
-    "estimated": "the initial state was estimated from the first rows, with all shared parameters held fixed",
+    "estimated": "what is unknown of them was estimated from the first rows, with all shared parameters held fixed",
     "failed": "no initial state was found from which it can be solved",
 }
 
@@ -313,8 +313,7 @@ class _MemberPredictions:
         released: bool,
     ) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
-        noise = noise_at(run, np.ones(len(run.model.channels)))
-        self.estimator = Estimator(evaluator, run.model, scales, noise, released)
+        self.estimator = estimator_of(evaluator, run.model, run.fit, scales, released)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
         self.displaced = Displaced(evaluator.instance, covariance, frozenset(run.values))
 
@@ -325,12 +324,13 @@ class _MemberPredictions:
         start = self.estimator.start(seen) if position is None else learned_start(self.evaluator, position, item)
         found, variables = self._solve(item, start)
         variance = np.zeros_like(variables)
+        refitted: Refit = unchanged
         if start.origin == "estimated" and not found.failure:
-            variance = self._uncertainty(item, seen, start, variables)
+            variance, refitted = self._uncertainty(item, seen, start, variables)
         # What training trajectories determine, their own start and the model together, has no further uncertainty.
         if start.origin in ("known", "estimated") and not found.failure:
             variance = variance + self.displaced.variance(
-                start, variables, lambda evaluator, moved: self._solve(item, moved, evaluator)[1]
+                start, variables, lambda evaluator, moved: self._solve(item, moved, evaluator)[1], refitted
             )
         return _View(found, variables, variance)
 
@@ -338,8 +338,10 @@ class _MemberPredictions:
         found = predict(self.evaluator if evaluator is None else evaluator, self.model, item, start)
         return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
 
-    def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> Array:
-        """The variance [R, V] from the covariance of the estimate: the diagonal of J (J'WJ + P)^-1 J', by differences.
+    def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> tuple[Array, Refit]:
+        """The variance [R, V] from the covariance of the estimate, the diagonal of J (J'WJ + P)^-1 J', by differences;
+        and how a change d of the solution that the shared parameters make is met by the estimate, which is refitted to
+        the window: d - J (J'WJ + P)^-1 J'W d.
 
         W is the precision of the window's residuals (from the fit's noise, or their size if that is larger), P that of
         the prior.
@@ -349,13 +351,15 @@ class _MemberPredictions:
         scale = np.concatenate([self.estimator.start_sd(seen)[free], self.estimator.own_sd])
         columns = []
         for k in range(len(scale)):
-            state, constants = start.state.copy(), start.constants.copy()
-            if k < len(free):
-                state[free[k]] += NUDGE * scale[k]
-            else:
-                constants[own[k - len(free)]] += NUDGE * scale[k]
-            moved = started(self.evaluator, item, state, constants, "estimated")
-            columns.append((self._solve(item, moved)[1] - variables) / NUDGE)
+            sides = []
+            for nudge in (NUDGE, -NUDGE):
+                state, constants = start.state.copy(), start.constants.copy()
+                if k < len(free):
+                    state[free[k]] += nudge * scale[k]
+                else:
+                    constants[own[k - len(free)]] += nudge * scale[k]
+                sides.append(self._solve(item, started(self.evaluator, item, state, constants, "estimated"))[1])
+            columns.append((sides[0] - sides[1]) / (2 * NUDGE))
         moves = np.stack(columns, axis=-1)
         rows, channels = len(seen.times), seen.values.shape[1]
         predicted, scales = variables[:rows, :channels], self.estimator.scales
@@ -363,11 +367,18 @@ class _MemberPredictions:
         measured = factor > 0
         misfit = self.estimator.residuals(seen, predicted)[measured]
         typical = float(np.sqrt(np.mean(misfit**2))) if measured.any() else 0.0
-        deviation = np.maximum(self.estimator.noise, max(typical, 1e-9))
+        deviation = self.estimator.deviation(predicted)
+        if self.estimator.varying is None:
+            deviation = np.maximum(deviation, max(typical, 1e-9))
         of_residuals = slopes(predicted, seen.values, factor, scales.log) / deviation
         weighted = (moves[:rows, :channels] * of_residuals[:, :, None])[measured]
-        precision = weighted.T @ weighted + np.eye(len(scale))
-        return np.asarray(np.einsum("rvi,ij,rvj->rv", moves, np.linalg.inv(precision), moves), dtype=np.float64)
+        inverse = np.linalg.inv(weighted.T @ weighted + np.eye(len(scale)))
+
+        def refitted(change: Array) -> Array:
+            in_window = (change[:rows, :channels] * of_residuals)[measured]
+            return np.asarray(change - moves @ (inverse @ (weighted.T @ in_window)), dtype=np.float64)
+
+        return np.asarray(np.einsum("rvi,ij,rvj->rv", moves, inverse, moves), dtype=np.float64), refitted
 
 
 def first_rows(item: Trajectory, rows: int) -> Trajectory:

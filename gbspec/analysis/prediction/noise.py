@@ -6,16 +6,18 @@ and an interval extends by the same factor upwards and downwards.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+import sympy
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import logarithmic
+from gbspec.ir import PREDICTION, logarithmic, symbol
 
 if TYPE_CHECKING:
-    from gbspec.ir import Channel
-    from gbspec.runs import Run
+    from gbspec.ir import Channel, Expr, Model
+    from gbspec.runs import FitRecord, Run
 
 
 NORMAL_90 = 1.6448536269514722
@@ -25,24 +27,56 @@ NORMAL_90 = 1.6448536269514722
 def noise_at(run: Run, values: Array) -> Array:
     """The standard deviation [..., C] of a measurement of channels at `values` [..., C], in their own units: under
     Student's noise that of a normal one with the same 90 % interval."""
-    found = np.array(
-        [(run.fit.noise.get(c.name) or 0.0) * _wider(run, c) for c in run.model.channels], dtype=np.float64
-    )
+    found = residual_noise(run.model, run.fit, values)
     return np.asarray(found * np.where(logarithmic(run.model), np.abs(values), 1.0), dtype=np.float64)
 
 
-def _wider(run: Run, channel: Channel) -> float:
+def residual_noise(model: Model, fit: FitRecord, values: Array) -> Array:
+    """The same of a residual: of the logarithm, for channels with a lognormal noise."""
+    found = np.zeros(np.shape(values))
+    known = _known(model, fit)
+    for i, channel in enumerate(model.channels):
+        stated, place = _stated(channel, known), np.asarray(values)[..., i]
+        deviation = (fit.noise.get(channel.name) or 0.0) if stated is None else _at(stated, channel, place)
+        found[..., i] = deviation * _wider(channel, known)
+    return found
+
+
+def depends_on_value(model: Model, fit: FitRecord) -> bool:
+    """Whether the noise of a channel is learned as an expression of the predicted value."""
+    stated = (_stated(channel, _known(model, fit)) for channel in model.channels)
+    return any(one is not None and one.has(PREDICTION) for one in stated)
+
+
+def _known(model: Model, fit: FitRecord) -> dict[Expr, float]:
+    """The values of constants and learnables by their symbols."""
+    known: dict[Expr, float] = {c.symbol: c.value for c in model.constants}
+    return known | {symbol(name): one.value for name, one in fit.constants.items() if one.value is not None}
+
+
+def _stated(channel: Channel, known: Mapping[Expr, float]) -> Expr | None:
+    """The expression of a noise in the predicted value alone; None where it states none, or holds what is implied."""
+    if channel.noise is None or channel.noise.value is None:
+        return None
+    found = channel.noise.value.xreplace({s: sympy.Float(value) for s, value in known.items()})
+    return found if found.free_symbols <= {PREDICTION} else None
+
+
+def _at(stated: Expr, channel: Channel, values: Array) -> Array:
+    assert channel.noise is not None
+    function = sympy.lambdify([PREDICTION], stated, modules="numpy", dummify=True)
+    with np.errstate(all="ignore"):
+        found = np.broadcast_to(np.asarray(function(values), dtype=np.float64), np.shape(values))
+    return np.sqrt(np.log1p(found**2)) if channel.noise.kind == "lognormal" else found
+
+
+def _wider(channel: Channel, known: Mapping[Expr, float]) -> float:
     """The 90 % interval of Student's noise, in units of that of a normal one whose standard deviation is the scale."""
     if channel.noise is None or channel.noise.freedom is None:
         return 1.0
-    import sympy  # only here: `--version` and the like need neither
     from scipy.special import stdtrit
 
-    from gbspec.ir import symbol
-
-    known = {c.symbol: c.value for c in run.model.constants}
-    known |= {symbol(name): one.value for name, one in run.fit.constants.items() if one.value is not None}
-    freedom = float(channel.noise.freedom.xreplace({s: sympy.Float(v) for s, v in known.items()}))
+    freedom = float(channel.noise.freedom.xreplace({s: sympy.Float(value) for s, value in known.items()}))
     return float(stdtrit(freedom, 0.95)) / NORMAL_90
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.data import evaluate, fingerprint
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
     from gbspec.analysis.systems import Extrapolation
@@ -27,6 +28,9 @@ Origin = Literal["learned", "known", "estimated", "failed"]
 estimated from the trajectory's own data; or failed, if none was found."""
 
 RTOL = 1e-8
+IN_LOGARITHMS = 1e-6
+"""The absolute tolerance, as a part of the relative one, where logarithms are measured: of values that fall by
+decades."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,7 @@ def predict(
             doses=item.doses,
             constants=start.constants,
             rtol=rtol,
-            atol=rtol,
+            atol=rtol * (IN_LOGARITHMS if logarithmic(model).any() else 1.0),
             scales=scales,
         )
     except ComputationError as error:
