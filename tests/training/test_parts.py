@@ -23,7 +23,7 @@ from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.preparation import prepare
 from gbspec.training.recipe.stages import mean_loss
 from gbspec.training.starts.initial_states import refit_starts
-from gbspec.training.starts.splines import fit_curves
+from gbspec.training.starts.splines import curve_of, fit_curves, smoothed
 from gbspec.training.starts.warm_start import eliminate
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
 from tests.training.reference import linearise, solve, whole_jacobian
@@ -234,3 +234,15 @@ def test_log_normal_residuals_are_of_logarithms() -> None:
     problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(), 0.2)
     assert problem.scaling.log.tolist() == [False, False, True]
     assert np.isfinite(solve(problem, parameters, theta)).all()
+
+
+def test_rows_at_the_same_time_but_for_rounding_give_no_steep_curve() -> None:
+    """Tables that are put together have 0.6 and 0.6000000000000001, with values that differ by the noise."""
+    t = np.sort(np.concatenate([np.linspace(0, 3, 31), [0.6 + 2e-16, 1.2 + 3e-16]]))
+    y = np.sin(t) + 0.05 * np.cos(40 * t + np.arange(len(t)))
+    curve, smooth = curve_of(t, y), smoothed(t, y)
+    assert curve is not None
+    assert smooth is not None
+    fine = np.linspace(0, 3, 200)
+    assert np.abs(curve.slope(fine)).max() < 10
+    assert np.abs(smooth.derivative()(fine)).max() < 3

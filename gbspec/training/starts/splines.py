@@ -20,6 +20,8 @@ from gbspec.ir import Model
 from gbspec.training.starts.readings import readings
 
 Curve = Callable[[Array], Array]
+TOGETHER = 1e-6
+"""Rows that are closer than this part of the usual distance have the same time."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ def smoothed(t: Array, y: Array, unit: float | None = None) -> SmoothCurve | Non
 
     Penalties are searched between 0 and the number of points, with times in multiples of `unit` (None: the span).
     """
+    t, y = _merged(t, y)
     if len(t) < 8:
         return None
     width, deviation = t[-1] - t[0] if unit is None else unit, y.std()
@@ -115,8 +118,19 @@ class SmoothCurve:
         return SmoothCurve(self.spline.derivative(), self.origin, self.width, 0.0, self.deviation / self.width)  # type: ignore[attr-defined]
 
 
+def _merged(t: Array, y: Array) -> tuple[Array, Array]:
+    """The series with the mean of values at times that are the same up to rounding: 0.6 and 0.6000000000000001."""
+    gaps = np.diff(t)
+    if not len(gaps) or (gaps > TOGETHER * np.median(gaps)).all():
+        return t, y
+    group = np.concatenate([[0], np.cumsum(gaps > TOGETHER * np.median(gaps))])
+    count = np.bincount(group)
+    return np.bincount(group, t) / count, np.bincount(group, y) / count
+
+
 def curve_of(t: Array, y: Array, smooth: SmoothCurve | None = None) -> StateCurve | None:
     """The curve through values `y` at times `t`, or the smooth curve fitted to them; None with fewer than two."""
+    t, y = _merged(t, y)
     if len(t) < 2:
         return None
     low, high, bottom, top = float(t[0]), float(t[-1]), float(y.min()), float(y.max())
