@@ -91,6 +91,9 @@ def refuse_together(model: ir.Model, findings: Findings) -> None:
     for channel in model.channels:
         if channel.noise is not None and channel.noise.value is not None:
             help = "leave out the noise: its standard deviation is then learned, or leave out the diffusions"
+            if channel.noise.kind == "lognormal":
+                logarithm = f"`observe ln_{channel.name} = log(…)`, whose standard deviation is learned"
+                help = f"write {logarithm}, or give the noise a number, or leave out the diffusions"
             why = "is Student's" if channel.noise.kind == "student" else "holds learned constants"
             _together(f"the noise of `{channel.name}` {why}", channel.span, help, findings)
 
