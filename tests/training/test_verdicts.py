@@ -291,3 +291,18 @@ def test_predictions_of_zero_in_logarithms_have_a_bad_figure_and_not_none() -> N
     mean[np.flatnonzero(problem.valued[:, 0])[:2], 0] = 0.0, -1e-3
     found = _r2(problem, mean, 0)
     assert found is not None and found < -100
+
+
+def test_members_in_different_minima_are_told() -> None:
+    def of(loss: float) -> MemberResult:
+        return replace(fitted(0.1, 0.997), loss=loss, channels={"x": ChannelRecord(0.997, 0.0, values=122)})
+
+    def said(*losses: float) -> list[str]:
+        found = warnings_of(dict(enumerate(map(of, losses))), TrainOptions(members=len(losses)))
+        return [text for text in found if "different minima" in text]
+
+    (text,) = said(0.00114, 0.001293, 0.00115)
+    assert "worse are 1 (loss 0.001293)" in text
+    assert not said(0.00114, 0.00116)
+    assert not said(1e-13, 1e-11)
+    assert not said(0.00114)
