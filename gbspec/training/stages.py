@@ -26,6 +26,7 @@ class StageName(StrEnum):
     HORIZONS = "growing horizons"
     BLEND = "blend"
     WHOLE_STARTS = "initial states of whole solutions"
+    OTHER_START = "other start"
     AUTOREGRESSIVE = "autoregressive"
     CHOICE = "choice"
     AS_ASKED = "forcing as asked"

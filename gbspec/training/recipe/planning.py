@@ -22,6 +22,7 @@ from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown
+from gbspec.training.recipe.other_start import OtherStart
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
@@ -223,6 +224,7 @@ class _Planner:
             self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
+            Planned(StageName.OTHER_START, 1, self._other_start, self.judged.unfollowed, self._few),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit()),
             *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
@@ -375,6 +377,14 @@ class _Planner:
         out = theta.copy()
         out[: self.parameters.n_weights] = self.parameters.vector(other)[: self.parameters.n_weights]
         return out
+
+    def _few(self, reached: Reached) -> bool:
+        """Whether whole solutions are fitted from the warm start too."""
+        return self.values < FEW and self.effort != "low"
+
+    def _other_start(self, reached: Reached) -> Stage:
+        engine, other = self.context.engine(self.released, 0.0), reached.marks[StageName.WARM_START]
+        return OtherStart(engine, other, self._regular, WITH_FEW_DATA[self.effort])
 
     def _choice(self, reached: Reached) -> Stage:
         context, marks = self.context, reached.marks
