@@ -6,8 +6,8 @@ from .evaluation.point import evaluate as evaluate
 from .options import TrainOptions as TrainOptions
 from .problem.packing import pack as pack
 from .problem.scaling import scaling_of as scaling_of
-from .profile.likelihood import Profile as Profile
 from .profile.likelihood import profile_constant as profile_constant
+from .profile.result import Profile as Profile
 from .progress import Progress as Progress
 from .progress import Silent as Silent
 from .progress import Update as Update

@@ -26,6 +26,7 @@ from gbspec.analysis.prediction.solutions import (
     predict,
     started,
 )
+from gbspec.analysis.prediction.window import first_rows, window_rows
 from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
 from gbspec.data import TRAJECTORY
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
 Use = Literal["training", "window", "predicted"]
 """The use of a row: in training, in the estimation of the initial state, or none."""
 
-SHARE, LEAST = 3, 3
-"""The default window: one third (1/`SHARE`) of the measured rows, but at least `LEAST`."""
 NUDGE = 1e-3
 """The step of the finite differences that propagate the uncertainty of an estimated initial value, in units of its
 prior standard deviation."""
@@ -379,23 +378,6 @@ class _MemberPredictions:
             return np.asarray(change - moves @ (inverse @ (weighted.T @ in_window)), dtype=np.float64)
 
         return np.asarray(np.einsum("rvi,ij,rvj->rv", moves, inverse, moves), dtype=np.float64), refitted
-
-
-def first_rows(item: Trajectory, rows: int) -> Trajectory:
-    """The trajectory truncated to what its first `rows` rows contain."""
-    kept = {name: getattr(item, name)[:rows] for name in ("times", "values", "counts", "sd")}
-    return replace(item, **kept)
-
-
-def window_rows(item: Trajectory, fixed: bool, window: int | None) -> int:
-    """The number of rows up to the end of the window; only the first if nothing is estimated (`fixed`)."""
-    measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
-    if not len(measured):
-        return 0
-    wanted = window if window is not None else max(LEAST, len(measured) // SHARE)
-    if fixed:
-        wanted = 1
-    return int(measured[min(wanted, len(measured)) - 1]) + 1
 
 
 def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, known: Trained) -> PredictedTrajectory:

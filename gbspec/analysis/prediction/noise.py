@@ -10,10 +10,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-import sympy
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import PREDICTION, logarithmic, symbol
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
     from gbspec.ir import Channel, Expr, Model
@@ -34,7 +33,8 @@ def noise_at(run: Run, values: Array) -> Array:
 def residual_noise(model: Model, fit: FitRecord, values: Array) -> Array:
     """The same of a residual: of the logarithm, for channels with a lognormal noise."""
     found = np.zeros(np.shape(values))
-    known = _known(model, fit)
+    plain = all(channel.noise is None or channel.noise.value is None for channel in model.channels)
+    known = {} if plain else _known(model, fit)
     for i, channel in enumerate(model.channels):
         stated, place = _stated(channel, known), np.asarray(values)[..., i]
         deviation = (fit.noise.get(channel.name) or 0.0) if stated is None else _at(stated, channel, place)
@@ -44,12 +44,18 @@ def residual_noise(model: Model, fit: FitRecord, values: Array) -> Array:
 
 def depends_on_value(model: Model, fit: FitRecord) -> bool:
     """Whether the noise of a channel is learned as an expression of the predicted value."""
+    from gbspec.ir import PREDICTION
+
+    if all(channel.noise is None or channel.noise.value is None for channel in model.channels):
+        return False
     stated = (_stated(channel, _known(model, fit)) for channel in model.channels)
     return any(one is not None and one.has(PREDICTION) for one in stated)
 
 
 def _known(model: Model, fit: FitRecord) -> dict[Expr, float]:
     """The values of constants and learnables by their symbols."""
+    from gbspec.ir import symbol
+
     known: dict[Expr, float] = {c.symbol: c.value for c in model.constants}
     return known | {symbol(name): one.value for name, one in fit.constants.items() if one.value is not None}
 
@@ -58,11 +64,19 @@ def _stated(channel: Channel, known: Mapping[Expr, float]) -> Expr | None:
     """The expression of a noise in the predicted value alone; None where it states none, or holds what is implied."""
     if channel.noise is None or channel.noise.value is None:
         return None
+    import sympy  # only here: `--version` and the like need none of it
+
+    from gbspec.ir import PREDICTION
+
     found = channel.noise.value.xreplace({s: sympy.Float(value) for s, value in known.items()})
     return found if found.free_symbols <= {PREDICTION} else None
 
 
 def _at(stated: Expr, channel: Channel, values: Array) -> Array:
+    import sympy
+
+    from gbspec.ir import PREDICTION
+
     assert channel.noise is not None
     function = sympy.lambdify([PREDICTION], stated, modules="numpy", dummify=True)
     with np.errstate(all="ignore"):
@@ -74,6 +88,7 @@ def _wider(channel: Channel, known: Mapping[Expr, float]) -> float:
     """The 90 % interval of Student's noise, in units of that of a normal one whose standard deviation is the scale."""
     if channel.noise is None or channel.noise.freedom is None:
         return 1.0
+    import sympy
     from scipy.special import stdtrit
 
     freedom = float(channel.noise.freedom.xreplace({s: sympy.Float(value) for s, value in known.items()}))

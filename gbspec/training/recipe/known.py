@@ -22,7 +22,7 @@ from gbspec.training.recipe.growing import AS_SEGMENTS, FOLLOWED, ITERATIONS, Gr
 from gbspec.training.recipe.planned import Decision, Planned, Reached
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.stages import Effort, StageName
-from gbspec.training.starts import followed
+from gbspec.training.starts import PATIENCE, WITH_STARTS, Search, followed
 
 CLEARLY = 0.1
 """Constants of segments replace those of the search if the product of two losses, of the shortest segments and of whole
@@ -142,6 +142,23 @@ class SegmentsOfKnown:
         losses = [huber(residual_vector(segments.engine, segments.vector(one, None)), 1.0) for one in drawn]
         best = np.argsort(np.where(np.isfinite(losses), losses, np.inf), kind="stable")[:kept]
         return [declared, *(drawn[i] for i in best)]
+
+
+def search_with_starts(context: Context, released: Parameters, drawn: Array, believed: Decision) -> Planned:
+    """The search with measured initial values free (the layout `released`), where that with them as measured did not
+    find its best minimum several times and they are single measurements of noisy data (`believed`). `drawn` [N,
+    n_states] is 1 for the initial values that the draws vary."""
+    effort = context.options.effort
+
+    def unsure(reached: Reached) -> bool:
+        all_tried = reached.iterations.get(StageName.SEARCH, 0) >= PATIENCE[effort].improved
+        return all_tried and StageName.HORIZONS not in reached.marks and believed(reached)
+
+    def make(reached: Reached) -> Stage:
+        given = WITH_STARTS[effort], StageName.SEARCH_STARTS, drawn
+        return Search(context.engine(released, 0.0), None, context.seed, effort, None, *given)
+
+    return Planned(StageName.SEARCH_STARTS, WITH_STARTS[effort].improved, make, unsure)
 
 
 ONLY_SEGMENTS = (

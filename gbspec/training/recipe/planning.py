@@ -21,7 +21,7 @@ from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, Las
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
-from gbspec.training.recipe.known import SegmentsOfKnown
+from gbspec.training.recipe.known import SegmentsOfKnown, search_with_starts
 from gbspec.training.recipe.other_start import OtherStart
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
@@ -31,7 +31,7 @@ from gbspec.training.recipe.thresholds import ThresholdSearch, learned_threshold
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
 from gbspec.training.recipe.whole import ENOUGH, ROUNDING, demanding, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts import PATIENCE, WITH_STARTS, Search
+from gbspec.training.starts import PATIENCE, Search
 
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
@@ -137,16 +137,6 @@ class _Planner:
                 and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > BELIEVED
             )
 
-        def unsure(reached: Reached) -> bool:
-            """Whether the search with initial values as measured did not find its best minimum several times."""
-            found = reached.iterations.get(StageName.SEARCH, 0) >= PATIENCE[self.options.effort].improved
-            return found and StageName.HORIZONS not in reached.marks and believed(reached)
-
-        def with_starts(reached: Reached) -> Stage:
-            patience, name = WITH_STARTS[self.options.effort], StageName.SEARCH_STARTS
-            engine, drawn = context.engine(self.released, 0.0), parameters.start_free
-            return Search(engine, None, context.seed, self.options.effort, None, patience, name, drawn)
-
         segments = SegmentsOfKnown(context, self.released, self.judged.whole_astray, self.effort)
 
         def known(reached: Reached) -> LastFit | None:
@@ -160,7 +150,7 @@ class _Planner:
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             *([segments.planned()] if blend == 0.0 else []),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain, segments.discarded),
-            Planned(StageName.SEARCH_STARTS, WITH_STARTS[self.options.effort].improved, with_starts, unsure),
+            search_with_starts(context, self.released, parameters.start_free, believed),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
             cut_steps(context, known, self.effort),
             *(
@@ -383,8 +373,8 @@ class _Planner:
         return self.values < FEW and self.effort != "low"
 
     def _other_start(self, reached: Reached) -> Stage:
-        engine, other = self.context.engine(self.released, 0.0), reached.marks[StageName.WARM_START]
-        return OtherStart(engine, other, self._regular, WITH_FEW_DATA[self.effort])
+        marks, engine = reached.marks, self.context.engine(self.released, 0.0)
+        return OtherStart(engine, marks[StageName.WARM_START], self._regular, WITH_FEW_DATA[self.effort])
 
     def _choice(self, reached: Reached) -> Stage:
         context, marks = self.context, reached.marks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
@@ -49,6 +49,7 @@ from gbspec.training.runs.constants import (
     undetermined,
 )
 from gbspec.training.runs.jobs import Job
+from gbspec.training.runs.minima import said_of_minima
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.stages import most_iterations
@@ -423,32 +424,11 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
         out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
-    out += _of_minima(results)
+    out += said_of_minima(results)
     missing = options.members - len(results)
     if missing > 0:
         out.append(f"{missing} of {options.members} members were not fitted")
     return out
-
-
-WORSE, CLEARLY, ROUNDED = 0.05, 10.0, 1e-8
-"""Members are in a worse minimum if their loss is larger by this share, and -2 log likelihood by so much; losses up to
-the last number are those of exact data, whose ratios say nothing."""
-
-
-def _of_minima(results: Mapping[int, MemberResult]) -> list[str]:
-    """A warning where members ended in minima of different depth."""
-    losses = {member: one.loss for member, one in results.items() if one.objective is None and np.isfinite(one.loss)}
-    best = min(losses.values(), default=0.0)
-    count = max((sum(one.values or 0 for one in r.channels.values()) for r in results.values()), default=0)
-    least = best * (1 + max(WORSE, CLEARLY / max(count, 1)))
-    worse = [member for member, loss in sorted(losses.items()) if loss > max(least, ROUNDED)]
-    if not worse:
-        return []
-    listed = ", ".join(f"{member} (loss {losses[member]:.4g})" for member in worse)
-    return [
-        f"members ended in different minima: the best loss is {best:.4g}, worse are {listed}. Intervals contain the "
-        "differences; a single fit may end in either: trust the best member, or use more of them"
-    ]
 
 
 def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:

@@ -34,7 +34,6 @@ from gbspec.training.recipe import (
     step_fraction,
 )
 from gbspec.training.runs.coarseness import said_of_splines
-from gbspec.training.runs.constants import EXACT, at_bounds
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.past import said_of_past
@@ -43,8 +42,8 @@ from gbspec.training.runs.position import EDITION, Position, checkpoint, restore
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
-from gbspec.training.runs.summary import MemberResult, whole_solutions
-from gbspec.training.runs.tied import said_of_tied, tied_to_bounds
+from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.tied import without_tied
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
 
@@ -380,24 +379,11 @@ class _Runner:
                 result.sd[name] = factor * float(deviation)
             result.correlations = position.certainty.correlations
             if position.finished:
-                result.left += self._tied(result, fitted)
+                result.left += without_tied(result, self.context, self.parameters, position.best)
         if position.certainty.own.shape == result.own_sd.shape:
             result.own_sd = factor * position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
         return result
-
-    def _tied(self, result: MemberResult, stages: list[StageRecord]) -> list[str]:
-        """Takes their intervals from constants that follow from another one's bound, and says so."""
-        model, names = self.context.model, [stage.name for stage in stages]
-        at = dict(at_bounds(model, result.constants, result.sd)) if result.loss > EXACT else {}
-        ended = [name for name in self._shared_names() if name in at]
-        if not ended or model.diffusions:
-            return []
-        blend = 0.0 if whole_solutions(self.context, self.parameters, names) else self.context.options.blend
-        engine = self.context.engine(self.parameters, blend, step_fraction(names))
-        tied = tied_to_bounds(engine, self.position.best, ended)
-        result.sd |= dict.fromkeys(tied, math.nan)
-        return said_of_tied(tied, ended)
 
     def _unsteady(self, instance: GeneratedModule) -> list[str]:
         """What is to be said of trajectories that do not begin in the steady state that the table asks for."""

@@ -6,6 +6,8 @@ standard deviations hold if it is at the bound, and say nothing of what the data
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 
@@ -13,6 +15,9 @@ from gbspec.arrays import Array
 from gbspec.training.engines import Engine
 from gbspec.training.optimise import loosened
 from gbspec.training.problem import Bijection, Bijections, Integers, Parameters
+from gbspec.training.recipe import Context, step_fraction
+from gbspec.training.runs.constants import EXACT, at_bounds
+from gbspec.training.runs.summary import MemberResult, whole_solutions
 
 INSIDE = 1e-5
 """Constants at bounds count as so far inside of them (as a fraction of the range on the scale of training), where the
@@ -20,6 +25,19 @@ slopes of this scale can still be computed."""
 TIED = 3.0
 """Constants are tied to those at bounds where their standard deviations are over this many times as large with these
 free."""
+
+
+def without_tied(result: MemberResult, context: Context, parameters: Parameters, theta: Array) -> list[str]:
+    """Takes their intervals from constants that follow from another one's bound; what is to be said of them."""
+    at = dict(at_bounds(context.model, result.constants, result.sd)) if result.loss > EXACT else {}
+    ended = [context.model.learnables[i].name for i in parameters.shared if context.model.learnables[i].name in at]
+    if not ended or context.model.diffusions:
+        return []
+    names = [stage.name for stage in result.stages]
+    blend = 0.0 if whole_solutions(context, parameters, names) else context.options.blend
+    tied = tied_to_bounds(context.engine(parameters, blend, step_fraction(names)), theta, ended)
+    result.sd |= dict.fromkeys(tied, math.nan)
+    return said_of_tied(tied, ended)
 
 
 def tied_to_bounds(engine: Engine, theta: Array, ended: list[str]) -> dict[str, float]:

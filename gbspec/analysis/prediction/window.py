@@ -1,0 +1,31 @@
+"""The first rows of a new trajectory, from which what is unknown of it is estimated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from gbspec.data import Trajectory
+
+SHARE, LEAST = 3, 3
+"""The default window: one third (1/`SHARE`) of the measured rows, but at least `LEAST`."""
+
+
+def first_rows(item: Trajectory, rows: int) -> Trajectory:
+    """The trajectory truncated to what its first `rows` rows contain."""
+    kept = {name: getattr(item, name)[:rows] for name in ("times", "values", "counts", "sd")}
+    return replace(item, **kept)
+
+
+def window_rows(item: Trajectory, fixed: bool, window: int | None) -> int:
+    """The number of rows up to the end of the window; only the first if nothing is estimated (`fixed`)."""
+    measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
+    if not len(measured):
+        return 0
+    wanted = window if window is not None else max(LEAST, len(measured) // SHARE)
+    if fixed:
+        wanted = 1
+    return int(measured[min(wanted, len(measured)) - 1]) + 1
