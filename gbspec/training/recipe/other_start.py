@@ -1,4 +1,4 @@
-"""Whole solutions of few data from two vectors: that of teacher forcing, and that of the warm start.
+"""Whole solutions of few data from a second vector, that of the warm start.
 
 Teacher forcing leads constants, initial states and functions together to where predictions from row to row are best.
 With noise and unmeasured states this may be the basin of a wrong minimum of whole solutions, which the first guess of
@@ -6,10 +6,6 @@ all of them is not in. Where few values were measured, a second fit is cheap, an
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-
-import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
@@ -23,16 +19,11 @@ CLEARLY = 2.0
 
 
 class OtherStart:
-    """Levenberg-Marquardt from the present vector, then from `other`; the end with the larger evidence is kept.
-
-    Where the other one is not kept, the vector stays as it was.
-    """
+    """Levenberg-Marquardt from the vector `other`; its end replaces the present one if it is clearly better."""
 
     name, total = StageName.OTHER_START.value, 1
 
-    def __init__(
-        self, engine: Engine, other: Array, options: Callable[[Array], LevenbergOptions], iterations: int
-    ) -> None:
+    def __init__(self, engine: Engine, other: Array, options: LevenbergOptions, iterations: int) -> None:
         self.engine, self.other, self.options, self.iterations = engine, other, options, iterations
 
     def begin(self, theta: Array) -> State:
@@ -40,17 +31,15 @@ class OtherStart:
         return {"theta": theta}
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """Both fits, and the better vector."""
-        theta = state["theta"]
-        before, after = (self._fitted(start) for start in (theta, self.other))
-        if after is not None and (before is None or self._better(after, before)):
-            theta = after
+        """The fit from the other vector, and the better of both."""
+        present, found = state["theta"], self._fitted()
+        theta = found if found is not None and self._better(found, present) else present
         return Outcome({"theta": theta}, self._loss(theta), True)
 
-    def _fitted(self, theta: Array) -> Array | None:
+    def _fitted(self) -> Array | None:
         """The vector that least squares reach; None if they cannot begin."""
-        stage = LevenbergMarquardt(self.name, self.iterations, lambda i: self.engine, self.options(theta))
-        state = stage.begin(theta)
+        stage = LevenbergMarquardt(self.name, self.iterations, lambda i: self.engine, self.options)
+        state = stage.begin(self.other)
         for i in range(self.iterations):
             try:
                 outcome = stage.step(state, i)
@@ -61,11 +50,11 @@ class OtherStart:
                 break
         return state["theta"]
 
-    def _better(self, after: Array, before: Array) -> bool:
-        values = [log_evidence(self.engine, theta) for theta in (after, before)]
-        if values[0] is None or values[1] is None or not np.isfinite(values[0]):
+    def _better(self, found: Array, present: Array) -> bool:
+        if not self._loss(found) <= self._loss(present):
             return False
-        return values[0] > values[1] + CLEARLY and self._loss(after) <= self._loss(before)
+        values = [log_evidence(self.engine, theta) for theta in (found, present)]
+        return values[0] is not None and values[1] is not None and values[0] > values[1] + CLEARLY
 
     def _loss(self, theta: Array) -> float:
         return mean_loss(residual_vector(self.engine, theta))

@@ -214,8 +214,9 @@ class _Planner:
             self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
-            Planned(StageName.OTHER_START, 1, self._other_start, self.judged.unfollowed, self._few),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit()),
+            Planned(StageName.OTHER_START, 1, self._other_start, possible=self._few),
+            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._replaced, self._whole_limit()),
             *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
             whole_of_exact_data(self.context, self._layout_of_whole, self.effort, self._whole, self.judged.exact),
@@ -369,12 +370,18 @@ class _Planner:
         return out
 
     def _few(self, reached: Reached) -> bool:
-        """Whether whole solutions are fitted from the warm start too."""
-        return self.values < FEW and self.effort != "low"
+        """Whether whole solutions, which have been fitted, are fitted from the warm start too."""
+        return StageName.AUTOREGRESSIVE in reached.marks and self.values < FEW and self.effort != "low"
 
     def _other_start(self, reached: Reached) -> Stage:
-        marks, engine = reached.marks, self.context.engine(self.released, 0.0)
-        return OtherStart(engine, marks[StageName.WARM_START], self._regular, WITH_FEW_DATA[self.effort])
+        engine, other = self.context.engine(self.released, 0.0), reached.marks[StageName.WARM_START]
+        return OtherStart(engine, other, self._regular(other), WITH_FEW_DATA[self.effort])
+
+    def _replaced(self, reached: Reached) -> bool:
+        """Whether the fit from the warm start has replaced that of whole solutions, and is to be brought to rest."""
+        marks = reached.marks
+        found = marks.get(StageName.OTHER_START)
+        return found is not None and not np.array_equal(found, marks[StageName.AUTOREGRESSIVE])
 
     def _choice(self, reached: Reached) -> Stage:
         context, marks = self.context, reached.marks
