@@ -7,6 +7,7 @@ standard deviations hold if it is at the bound, and say nothing of what the data
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -27,15 +28,17 @@ TIED = 3.0
 free."""
 
 
-def without_tied(result: MemberResult, context: Context, parameters: Parameters, theta: Array) -> list[str]:
-    """Takes their intervals from constants that follow from another one's bound; what is to be said of them."""
+def without_tied(
+    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+) -> list[str]:
+    """Takes their intervals from constants that follow from another one's bound; what is to be said of them. `stages`
+    are those that led to `theta`."""
     at = dict(at_bounds(context.model, result.constants, result.sd)) if result.loss > EXACT else {}
     ended = [context.model.learnables[i].name for i in parameters.shared if context.model.learnables[i].name in at]
     if not ended or context.model.diffusions:
         return []
-    names = [stage.name for stage in result.stages]
-    blend = 0.0 if whole_solutions(context, parameters, names) else context.options.blend
-    tied = tied_to_bounds(context.engine(parameters, blend, step_fraction(names)), theta, ended)
+    blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
+    tied = tied_to_bounds(context.engine(parameters, blend, step_fraction(stages)), theta, ended)
     result.sd |= dict.fromkeys(tied, math.nan)
     return said_of_tied(tied, ended)
 
