@@ -18,5 +18,6 @@ from .results import PopulationResult as PopulationResult
 from .results import result_at as result_at
 from .results import simulated_tables as simulated_tables
 from .stage import MarginalLikelihood as MarginalLikelihood
+from .stage import Starts as Starts
 from .stage import modes_of as modes_of
 from .stage import vector_of as vector_of

@@ -5,7 +5,8 @@ Between two iterations its state is the trainable vector, the modes z, the dampi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -69,13 +70,21 @@ def modes_of(parameters: Parameters, likelihood: Likelihood, theta: Array) -> Ar
         return likelihood.groups.together(layout.numbers(natural, individual).numpy())
 
 
+@dataclass(frozen=True)
+class Starts:
+    """Other vectors from which the likelihood may begin: those that lie `elsewhere`, and where constants are at bounds
+    in all of them, `inside` (None: with declared values in place of those at bounds, and of all)."""
+
+    elsewhere: tuple[Array, ...] = ()
+    inside: Array | None = None
+
+
 class MarginalLikelihood:
     """The stage. By quadrature it begins with the maximum of Laplace's method, from which few steps are left.
 
     With `others` the vector is not the only start: a pooled fit may have ended in a minimum that is not the
     population's, or at bounds, from which a logistic scale does not lead away. What comes furthest in a few iterations
-    is gone on with. Others that lie elsewhere are starts, the last one only where constants are at bounds; so are
-    there, without networks, declared values in place of those at bounds, and of all.
+    is gone on with.
     """
 
     def __init__(
@@ -86,7 +95,7 @@ class MarginalLikelihood:
         objective: Objective,
         ridge: float | None,
         failure: Failure,
-        others: Sequence[Array] | None = None,
+        others: Starts | None = None,
     ) -> None:
         self.name, self.total, self.parameters = name, total, parameters
         self.whole, self.failure, self.others = objective, failure, others
@@ -101,15 +110,15 @@ class MarginalLikelihood:
         states = [self._begun(each) for each in starts]
         return self._furthest(states) if len(states) > 1 else states[0]
 
-    def _starts(self, theta: Array, others: Sequence[Array]) -> list[Array]:
+    def _starts(self, theta: Array, others: Starts) -> list[Array]:
         """The starts, different from each other."""
         found = [theta]
-        for other in others[:-1]:
+        for other in others.elsewhere:
             found += [other] if all(self._apart(other, one) for one in found) else []
         stuck = [self._at_bounds(each) for each in found]
         if not all(each.any() for each in stuck):
             return found
-        return found + ([others[-1]] if others else self._declared(theta, stuck[0]))
+        return found + (self._declared(theta, stuck[0]) if others.inside is None else [others.inside])
 
     def _apart(self, one: Array, other: Array) -> bool:
         """Whether two vectors differ in a parameter by more than `APART`."""

@@ -20,6 +20,7 @@ from gbspec.training.population import (
     Point,
     Pooled,
     Predictions,
+    Starts,
     modes_of,
     pooled_parameters,
 )
@@ -36,8 +37,6 @@ AUTOMATIC: Mapping[int, int] = {1: 9, 2: 7}
 """Nodes in each dimension of a quadrature that the fit itself asks for, by the number of dimensions of a unit."""
 MOVES = 0.2
 """It asks for one that would move a parameter by more than this many of its standard deviations."""
-OTHERS = (StageName.POOLED, StageName.FUNCTIONS)
-"""Stages whose ends are further starts of the marginal likelihood where they lie elsewhere than the last one's."""
 SHOWS, SHOWS_WITH_NETWORKS = 0.02, 0.5
 """The step is halved where that changes -2 log likelihood by more than this."""
 
@@ -122,7 +121,9 @@ class _Likelihoods:
         """Laplace's method, or the quadrature that was requested."""
 
         def make(reached: Reached) -> Stage:
-            others = [reached.marks[name] for name in OTHERS if name in reached.marks]
+            marks = reached.marks
+            elsewhere = (marks[StageName.POOLED],) if StageName.POOLED in marks else ()
+            others = Starts(elsewhere, marks.get(StageName.FUNCTIONS))
             return self._maximised(StageName.MARGINAL, *reached.begun, others=others)
 
         return Planned(StageName.MARGINAL, self._most, make)
@@ -165,7 +166,7 @@ class _Likelihoods:
             self._objectives[key] = marginal_objective(self._context, self._parameters, begun)
         return self._objectives[key]
 
-    def _maximised(self, name: StageName, *begun: str, others: Sequence[Array] | None = None) -> Stage:
+    def _maximised(self, name: StageName, *begun: str, others: Starts | None = None) -> Stage:
         context, parameters = self._context, self._parameters
 
         def failure(theta: Array) -> Exception:
