@@ -148,26 +148,33 @@ def _numpy_search_of(equations: Any, block: Any, math: Any, given: Any, known: A
     """The search over arrays, several times as fast as that over tensors; its result as tensors."""
     import torch
 
-    def plain(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return tuple(map(plain, value))
-        return value.detach().cpu().double().numpy() if isinstance(value, torch.Tensor) else value
-
-    class Plain:  # a network over arrays, with its scales
-        def __init__(self, network: Any) -> None:
-            self.network = network
-
-        def __getattr__(self, name: str) -> Any:
-            return plain(getattr(self.network, name))
-
-        def __call__(self, *arguments: Any) -> Any:
-            with torch.no_grad():
-                return plain(self.network(*map(torch.tensor, arguments)))
-
-    networks = () if block[1] else tuple(Plain(getattr(one, "quiet", one)) for one in given[5])
-    found = _numpy_search(equations, block, _numpy_arithmetic(), (*map(plain, given[:5]), networks), plain(known))
+    networks = () if block[1] else tuple(_PlainNetwork(getattr(one, "quiet", one)) for one in given[5])
+    found = _numpy_search(equations, block, _numpy_arithmetic(), (*map(_plain, given[:5]), networks), _plain(known))
     state = given[1]
     return tuple(torch.as_tensor(part, dtype=state.dtype, device=state.device) for part in found)
+
+
+def _plain(value: Any) -> Any:
+    """Tensors, also in tuples, as arrays in double precision."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    return value.detach().cpu().double().numpy() if hasattr(value, "detach") else value
+
+
+class _PlainNetwork:
+    """A network of tensors over arrays, with its scales."""
+
+    def __init__(self, network: Any) -> None:
+        self.network = network
+
+    def __getattr__(self, name: str) -> Any:
+        return _plain(getattr(self.network, name))
+
+    def __call__(self, *arguments: Any) -> Any:
+        import torch
+
+        with torch.no_grad():
+            return _plain(self.network(*map(torch.tensor, arguments)))
 
 
 def _sizes(low: Any, high: Any, start: Any) -> Any:
