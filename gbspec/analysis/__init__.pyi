@@ -14,6 +14,7 @@ from .bifurcation.uncertainty import Certainty as Certainty
 from .bifurcation.uncertainty import with_uncertainty as with_uncertainty
 from .prediction.estimate import Estimator as Estimator
 from .prediction.estimate import predictions as predictions
+from .prediction.estimate import refitting as refitting
 from .prediction.forecast import Forecast as Forecast
 from .prediction.forecast import PredictedTrajectory as PredictedTrajectory
 from .prediction.forecast import Use as Use

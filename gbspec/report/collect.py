@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from gbspec.analysis import (
-    Estimator,
     InitialStates,
     Start,
     input_values,
     learned_positions,
     learned_start,
     predict,
+    refitting,
     system_of,
 )
 from gbspec.analysis import initial_states as compare_starts
@@ -71,7 +71,7 @@ class Fitted:
             if position is not None:
                 found = learned_start(evaluator, position, item)
             else:
-                found = Estimator(evaluator, self.model, self.scales).start(item)
+                found = refitting(evaluator, self.model, self.run.fit, self.scales).start(item)
             self._starts[member, index] = found
         return self._starts[member, index]
 

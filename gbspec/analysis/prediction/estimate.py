@@ -96,15 +96,21 @@ def predictions(
     `fit` is the content of the run's `fit.json`, if there is a run.
     """
     scales = scales_of(model, trajectories) if fit is None else fit.scales_for(model, trajectories)
-    estimator = Estimator(evaluator, model, scales)
-    if fit is not None and model.marginal:  # what single trajectories have for themselves has a distribution
-        estimator = estimator_of(evaluator, model, fit, scales)
+    estimator = refitting(evaluator, model, fit, scales)
     positions = learned_positions(evaluator.instance, trajectories, None if fit is None else fit.data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
         for item, position in zip(trajectories.items, positions, strict=True)
     ]
     return [predict(evaluator, model, item, start) for item, start in zip(trajectories.items, starts, strict=True)]
+
+
+def refitting(evaluator: Evaluator, model: Model, fit: FitRecord | None, scales: Scales) -> Estimator:
+    """The estimator of what trajectories are solved with. Where what they have of their own has a distribution, that is
+    weighed against the noise of the fit."""
+    if fit is None or not model.marginal:
+        return Estimator(evaluator, model, scales)
+    return estimator_of(evaluator, model, fit, scales)
 
 
 def estimator_of(

@@ -33,8 +33,7 @@ def noise_at(run: Run, values: Array) -> Array:
 def residual_noise(model: Model, fit: FitRecord, values: Array) -> Array:
     """The same of a residual: of the logarithm, for channels with a lognormal noise."""
     found = np.zeros(np.shape(values))
-    plain = all(channel.noise is None or channel.noise.value is None for channel in model.channels)
-    known = {} if plain else _known(model, fit)
+    known = _known(model, fit) if _learned(model) else {}
     for i, channel in enumerate(model.channels):
         stated, place = _stated(channel, known), np.asarray(values)[..., i]
         deviation = (fit.noise.get(channel.name) or 0.0) if stated is None else _at(stated, channel, place)
@@ -46,10 +45,12 @@ def depends_on_value(model: Model, fit: FitRecord) -> bool:
     """Whether the noise of a channel is learned as an expression of the predicted value."""
     from gbspec.ir import PREDICTION
 
-    if all(channel.noise is None or channel.noise.value is None for channel in model.channels):
-        return False
-    stated = (_stated(channel, _known(model, fit)) for channel in model.channels)
+    stated = (_stated(channel, _known(model, fit)) for channel in model.channels) if _learned(model) else ()
     return any(one is not None and one.has(PREDICTION) for one in stated)
+
+
+def _learned(model: Model) -> bool:
+    return any(channel.noise is not None and channel.noise.value is not None for channel in model.channels)
 
 
 def _known(model: Model, fit: FitRecord) -> dict[Expr, float]:

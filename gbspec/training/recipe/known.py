@@ -155,8 +155,9 @@ def search_with_starts(context: Context, released: Parameters, drawn: Array, bel
         return all_tried and StageName.HORIZONS not in reached.marks and believed(reached)
 
     def make(reached: Reached) -> Stage:
-        given = WITH_STARTS[effort], StageName.SEARCH_STARTS, drawn
-        return Search(context.engine(released, 0.0), None, context.seed, effort, None, *given)
+        engine, patience = context.engine(released, 0.0), WITH_STARTS[effort]
+        name = StageName.SEARCH_STARTS
+        return Search(engine, None, context.seed, effort, patience=patience, name=name, drawn=drawn)
 
     return Planned(StageName.SEARCH_STARTS, WITH_STARTS[effort].improved, make, unsure)
 
