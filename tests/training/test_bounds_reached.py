@@ -9,6 +9,7 @@ import pytest
 
 import gbspec
 from gbspec.runs import ConstantRecord
+from gbspec.training.problem import Bijection
 from gbspec.training.runs.constants import at_bounds, inside_bounds, undetermined
 
 TEXT = """\
@@ -103,6 +104,18 @@ def test_a_fit_says_that_its_constant_is_not_determined(tmp_path: Path) -> None:
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert any("`k` is not determined" in warning for warning in fit.warnings), fit.warnings
+
+
+@pytest.mark.parametrize("bounds", ["", "> 0", "< 3", "in [0, 2]", "in [-9, -1]", "in [1e-3, 1e3]", "in [-1e3, -1e-3]"])
+@pytest.mark.parametrize("share", [0.0, 1e-3])
+def test_values_inside_stay_and_those_at_bounds_move_in(tmp_path: Path, bounds: str, share: float) -> None:
+    start = {"in [-9, -1]": -4.0, "in [-1e3, -1e-3]": -2.0}.get(bounds, 1.5)
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k = {start} {bounds}"))
+    (learnable,) = gbspec.load(tmp_path / "m.gb").model.learnables
+    scale, ends = Bijection.of(learnable), (learnable.range.low, learnable.range.high)
+    assert scale.inside(start, share) == pytest.approx(start, rel=1e-12)
+    for end in filter(np.isfinite, ends):
+        assert scale.distance(scale.inside(end, share), end) == pytest.approx(share, abs=1e-12)
 
 
 FAST = """\

@@ -95,8 +95,11 @@ class Bijection:
             return self.low * float(np.exp(self.width * self._clipped(place, share)))
         if self.two_sided:
             return self.low + self.width * self._clipped(np.array(value - self.low), share)
-        least = share * (abs(self.start - (self.low if math.isfinite(self.low) else self.high)) or self.scale)
-        return float(np.clip(value, self.low + least, self.high - least))
+        if math.isinf(self.low) and math.isinf(self.high):
+            return value
+        bound = self.low if math.isfinite(self.low) else self.high
+        least = share * (abs(self.start - bound) or self.scale)
+        return max(value, bound + least) if bound == self.low else min(value, bound - least)
 
     def _clipped(self, place: Array, share: float) -> float:
         return float(np.clip(place / self.width, share, 1 - share))
@@ -206,7 +209,7 @@ class Bijections:
     def derivative(self, u: Array) -> Array:
         """d natural / d u, elementwise."""
         if self._scales is not None:
-            return np.broadcast_to(STRETCH * self._scales, np.shape(u))
+            return np.broadcast_to(STRETCH * self._scales, np.shape(u)).copy()
         x = torch.tensor(u, dtype=torch.float64, requires_grad=True)
         if x.shape[-1] == 0:
             return np.zeros_like(u)
