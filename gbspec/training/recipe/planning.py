@@ -203,6 +203,7 @@ class _Planner:
                 *self._continued(),
             ]
         whole = self._at(0.0, 1.0, self.released)
+        fit = self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit())
         return [
             self._adam(self._most(StageName.ADAM), self._hidden),
             self._thresholds(),
@@ -214,9 +215,9 @@ class _Planner:
             self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
-            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit()),
+            fit,
             Planned(StageName.OTHER_START, 1, self._other_start, possible=self._few),
-            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._replaced, self._whole_limit()),
+            replace(fit, wanted=always, possible=self._replaced),
             *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
             whole_of_exact_data(self.context, self._layout_of_whole, self.effort, self._whole, self.judged.exact),
