@@ -111,6 +111,18 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
     "a zero in one of two arguments": (
         TWO + "learn k = 1\nunknown f(x, y) zero at x = 0\nx' = f + k*y\n" + PAIR, 0, set(), set()
     ),
+    "a zero at no dose": (
+        "state x\nstate c\nlearn k = 1\nunknown f(c) zero at c = 0\nx' = f + k\nc' = -c\n"
+        "observe x\nobserve c\ndose c\n", 0, set(), set(),
+    ),
+    "a zero before the first dose of what is not measured": (
+        "state x\nstate c\nlearn k = 1\nlearn e = 0.3\nunknown f(c) zero at c = 0\nx' = k*x - f*x\nc' = -e*c\n"
+        "initial c = 0\nobserve x\ndose c\n", 0, set(), set(),
+    ),
+    "a value that a dose alone leads to": (
+        "state x\nstate c\nlearn k = 1\nunknown f(c) equals 2 at c = 5\nx' = f + k\nc' = -c\n"
+        "initial c = 0\nobserve x\ndose c\n", 0, set(), set(),
+    ),
     "branches": (
         "state x\nlearn a = 1\nlearn b = 1\nx' = if(x > 0.1, -a*b*x, 1)\nobserve x\n", 1, {"a", "b"}, set()
     ),

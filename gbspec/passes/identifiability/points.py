@@ -9,6 +9,7 @@ ranges do not exclude, get points that are not certain: they may raise a doubt a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -235,8 +236,12 @@ def _ties(question: Question, branches: Branches, generic: Base) -> Iterator[Bas
         for second in question.applications[:i]:
             if first.unknown == second.unknown and len(pairs) < MOST_TIES:
                 pairs.append((first.arguments, second.arguments))
+    amounts = {dose.amount for dose in question.doses}
+    undosed = replace(generic, variables={**generic.variables, **dict.fromkeys(amounts, 0.0)})
     for one, other in pairs:
-        base = _agreeing(question, one, other, generic)
+        base = _agreeing(question, one, other, undosed, frozenset(amounts))
+        if base is None and amounts:
+            base = _agreeing(question, one, other, generic)
         if base is not None:
             yield _with_branches(question, branches, base)
 
@@ -251,15 +256,22 @@ def _with_branches(question: Question, branches: Branches, base: Base) -> Base:
     return Base(base.variables, base.constants, base.widths, here, base.certain, base.tempo)
 
 
-def _agreeing(question: Question, first: Sequence[Expr], second: Sequence[Expr], generic: Base) -> Base | None:
-    """A point where expressions have the same values, by Newton's method with minimum-norm steps."""
+def _agreeing(
+    question: Question,
+    first: Sequence[Expr],
+    second: Sequence[Expr],
+    generic: Base,
+    held: AbstractSet[sympy.Symbol] = frozenset(),
+) -> Base | None:
+    """A point where expressions have the same values after doses, by Newton's method with minimum-norm steps; variables
+    that are `held` stay."""
     values = {a.value for a in question.applications}
     expressions = [*first, *second]
     if any(e.free_symbols & values for e in expressions):
         return None
     clock = question.model.time.symbol
-    names = [n for n in generic.variables if n != clock or question.model.time.start is None]
-    if not names:  # everything is given: no other point exists
+    names = [n for n in generic.variables if n not in held and (n != clock or question.model.time.start is None)]
+    if not names and not held:  # everything is given: no other point exists
         return None
     sizes = np.array([generic.widths.get(n) or 1e-9 for n in names])
     point = np.array([generic.variables[n] for n in names])
@@ -271,6 +283,9 @@ def _agreeing(question: Question, first: Sequence[Expr], second: Sequence[Expr],
         for state, start in zip(question.model.states, question.starts, strict=True):
             if start is not None and start.free_symbols <= set(table):
                 table[state.symbol] = Evaluation(algebra, table, 1)(start)
+        before = Evaluation(algebra, dict(table), 1)
+        for dose in question.doses:
+            table[question.model.states[dose.state].symbol] += before(dose.fraction * dose.amount)
         evaluation = Evaluation(algebra, table, 1)
         found = [float(evaluation(e)[0, 0]) for e in expressions]
         half = len(found) // 2
@@ -282,6 +297,8 @@ def _agreeing(question: Question, first: Sequence[Expr], second: Sequence[Expr],
             if np.max(np.abs(here)) < 1e-13 * max(1.0, float(np.max(np.abs(point)))):
                 variables = {**generic.variables, **dict(zip(names, map(float, point), strict=True))}
                 return Base(variables, generic.constants, generic.widths, generic.question, True, generic.tempo)
+            if not names:
+                return None
             steps = 1e-7 * sizes
             slope = np.stack(
                 [(gap(point + h * e) - here) / 1e-7 for h, e in zip(steps, np.eye(len(names)), strict=True)], axis=1
