@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, sobol, spread_over_ranges
 from gbspec.ir import Model
@@ -15,6 +15,7 @@ from gbspec.training.engines import residual_vector
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, typical
 from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.sized_networks import sized_networks
 from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.recipe.weighing import first as first_weights
 from gbspec.training.starts import (
@@ -27,6 +28,7 @@ from gbspec.training.starts import (
     regress_slopes,
     sized_starts,
     slope_mismatch,
+    unseen_outputs,
     unsized,
 )
 
@@ -103,7 +105,7 @@ def _imputed_residuals(context: Context, parameters: Parameters, theta: Array) -
 
 
 def _attempt(context: Context, given: Earlier | None = None) -> Prepared:
-    parameters, theta = initial(context)
+    parameters, theta = _sized_initial(context)
     if context.options.warm_start and (given is None or not set(parameters.weight_shapes) <= set(given.weights)):
         theta = regress_slopes(parameters, context.module, context.points, theta, context.seed)
     if given is not None:
@@ -148,19 +150,34 @@ def _eliminated(context: Context, start: Array) -> Eliminated:
 
 def initial(context: Context) -> tuple[Parameters, Array]:
     """Random weights and networks scaled by the data; constants as declared, or from elimination (warm start)."""
+    parameters, theta, _ = _scaled(context)
+    return parameters, theta
+
+
+def _sized_initial(context: Context) -> tuple[Parameters, Array]:
+    """The same; of outputs that act on unmeasured states alone, whole solutions tell the size."""
+    parameters, theta, unseen = _scaled(context)
+    if not context.options.warm_start or not any(mask.any() for mask in unseen.values()):
+        return parameters, theta
+    return sized_networks(context, parameters, theta, unseen)
+
+
+def _scaled(context: Context) -> tuple[Parameters, Array, dict[str, Mask]]:
+    """The layout and vector of `initial`, and the outputs of networks of which no slope tells the size."""
     model = context.model
     learnables = Bijections.of(model.learnables)
     start = learnables.from_natural(np.array([k.start for k in model.learnables], dtype=np.float64))
     fixed: Weights = {
         name: value for name, value in context.module.weights.items() if name.endswith(("_center", "_scale"))
     }
-    constants = start
+    constants, unseen = start, dict[str, Mask]()
     if len(context.points):
         eliminated = _eliminated(context, start)
         fixed = network_scales(model, eliminated)
+        unseen = unseen_outputs(model, eliminated)
         if context.options.warm_start and np.isfinite(eliminated.constants).all():
             constants = eliminated.constants
     factor = context.options.output_scale
     parameters = context.parameters({k: factor * v if k.endswith("output_scale") else v for k, v in fixed.items()})
     natural = learnables.to_natural(torch.from_numpy(constants)).numpy() if len(constants) else constants
-    return parameters, parameters.vector(context.module.weights, natural)
+    return parameters, parameters.vector(context.module.weights, natural), unseen

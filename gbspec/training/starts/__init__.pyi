@@ -19,3 +19,4 @@ from .warm_start import eliminate as eliminate
 from .warm_start import network_scales as network_scales
 from .warm_start import regress_slopes as regress_slopes
 from .warm_start import slope_mismatch as slope_mismatch
+from .warm_start import unseen_outputs as unseen_outputs

@@ -40,13 +40,15 @@ PRIOR = 0.5
 class Eliminated:
     """Constants (trainable values [n_learnables]), and free outputs [M, Q] with the arguments of each application.
 
-    `spread` are the arguments with states that have no curve spread over their declared ranges.
+    `spread` are the arguments with states that have no curve spread over their declared ranges. `unseen` [Q]: outputs
+    in no balance of a state with a curve, whose size is a guess.
     """
 
     constants: Array
     outputs: Array
     arguments: tuple[tuple[int, Array], ...]
     spread: tuple[tuple[int, Array], ...]
+    unseen: Mask
 
 
 def slope_mismatch(model: Model, module: GeneratedModule, points: Points, constants: Array) -> float:
@@ -162,11 +164,12 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
     if len(points) > enough:
         points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
     if not points.equations:
-        return _eliminated(_Mismatch(model, module, points, start, rough=True), start)[0]
-    found, undetermined = _eliminated(_Mismatch(model, module, points, start, rough=False), start)
-    if undetermined.any():
-        rough, _ = _eliminated(_Mismatch(model, module, points, start, rough=True), found.constants)
-        found = replace(found, outputs=np.where(undetermined, rough.outputs, found.outputs))
+        return _eliminated(_Mismatch(model, module, points, start, rough=True), start)
+    found = _eliminated(_Mismatch(model, module, points, start, rough=False), start)
+    if found.unseen.any():
+        rough = _eliminated(_Mismatch(model, module, points, start, rough=True), found.constants)
+        mixed = np.where(found.unseen, rough.outputs, found.outputs)
+        found = replace(found, outputs=mixed, unseen=found.unseen & rough.unseen)
     return found
 
 
@@ -175,14 +178,15 @@ def _as_declared(model: Model, module: GeneratedModule, points: Points, start: A
     on its way: it calls the networks as often as it needs to, so that their outputs cannot be free numbers."""
     free = _free_outputs(model, module, _spread(model, points), start)
     outputs = np.tile(np.array(free.neutral), (len(points), 1)).reshape(len(points), -1)
-    return Eliminated(start, outputs, tuple(free.arguments), tuple(free.arguments))
+    unseen = np.zeros(outputs.shape[1], dtype=np.bool_)
+    return Eliminated(start, outputs, tuple(free.arguments), tuple(free.arguments), unseen)
 
 
-def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
-    """Constants and outputs by a damped Gauss-Newton iteration, and the mask [Q] of outputs that no
-    compared balance contains."""
+def _eliminated(mismatch: _Mismatch, start: Array) -> Eliminated:
+    """Constants and outputs by a damped Gauss-Newton iteration."""
     model, points, count = mismatch.model, mismatch.points, len(mismatch.points)
-    undetermined = np.ones(len(mismatch.free.neutral), dtype=np.bool_)
+    unseen = np.ones(len(mismatch.free.neutral), dtype=np.bool_)
+    shown = np.isin(mismatch.equations, points.rough)
     u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
     slopes = np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()
     width = (float(np.median(slopes)) if count else 0.0) or 1.0  # all slopes are guessed where no state has a curve
@@ -192,7 +196,7 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
         r, jac_o, jac_k = mismatch.linear(u, outputs)
         if not np.isfinite(r).all():
             break
-        undetermined &= ~(jac_o != 0).any(axis=(0, 1))
+        unseen &= ~(jac_o[:, shown] != 0).any(axis=(0, 1))
         sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * width)
         w, value = mismatch.weights(r, sd)
         # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
@@ -210,7 +214,7 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
             if damping > 1e6:
                 break
     spread = _free_outputs(model, mismatch.module, _spread(model, points), u).arguments
-    return Eliminated(u, outputs, tuple(mismatch.free.arguments), tuple(spread)), undetermined
+    return Eliminated(u, outputs, tuple(mismatch.free.arguments), tuple(spread), unseen)
 
 
 def _spread(model: Model, points: Points) -> Points:
@@ -271,6 +275,18 @@ def _eliminated_step(
     return du, do
 
 
+def unseen_outputs(model: Model, eliminated: Eliminated) -> dict[str, Mask]:
+    """For each network the outputs [n_outputs] that are in no balance of a state with a curve."""
+    out = {network.name: np.ones(network.sizes[-1], dtype=np.bool_) for network in model.networks}
+    position = 0
+    for which, known in eliminated.arguments:
+        width, each = len(model.networks[which].outputs), known.shape[1]
+        columns = eliminated.unseen[position : position + width * each].reshape(width, each)
+        out[model.networks[which].name][:width] &= columns.all(axis=1)
+        position += width * each
+    return out
+
+
 def network_scales(model: Model, eliminated: Eliminated) -> Weights:
     """Step 2: input and output scales of every network, and the range that its inputs cover."""
     out: Weights = {}
@@ -278,8 +294,12 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
     seen: dict[int, list[tuple[Array, Array]]] = {}
     for (which, known), (_, spread) in zip(eliminated.arguments, eliminated.spread, strict=True):
         # Where states without curves matter, nothing but their declared ranges tells the size of an argument.
-        given = np.array([a.range is not None and a.range.bounded for a in model.networks[which].arguments], dtype=bool)
+        ranges = [a.range for a in model.networks[which].arguments]
+        given = np.array([bounds is not None and bounds.bounded for bounds in ranges], dtype=bool)
         arguments = np.where(given | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
+        for i, bounds in enumerate(ranges):
+            if bounds is not None and bounds.bounded and np.ptp(known[..., i]) == 0 < np.ptp(spread[..., i]):
+                arguments[..., i] = np.linspace(bounds.low, bounds.high, len(known))[:, None]
         width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
         columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
         seen.setdefault(which, []).append(

@@ -1,0 +1,75 @@
+"""Sizes of unknown functions that act on unmeasured states alone, before anything is fitted.
+
+Where no state with a curve has the function in its balance, slopes tell nothing of it, and a guess by ranges may be
+wrong by any factor: an epidemic of which only reports are counted ends at once, or has everyone ill in a day. From
+there no derivative leads back. So factors of the guess and constants are drawn, and whole solutions compare the draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gbspec.arrays import Array, Mask
+from gbspec.data import sobol, spread_over_ranges
+from gbspec.training.engines import residual_vector
+from gbspec.training.optimise import Priors, huber
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe.context import Context
+
+DRAWS, FEWEST = 256, 16
+"""So many draws are compared, and at least so many with many data."""
+WORK = 4e5
+"""Sub-steps of all draws, about two seconds with the kernel."""
+SLOWER = 30
+"""The torch graph gets so many times fewer draws."""
+LOW, HIGH = -1.5, 2.5
+"""Decadic logarithms of the factors: guesses by slopes of zero are too small more often than too large."""
+CLEARLY = 0.8
+"""Drawn constants are taken instead of the declared ones where they leave less than this of the loss."""
+
+
+def sized_networks(
+    context: Context, parameters: Parameters, theta: Array, unseen: Mapping[str, Mask]
+) -> tuple[Parameters, Array]:
+    """The layout with the best drawn sizes of the `unseen` outputs of networks, and the vector with the best drawn
+    constants; both as they were if no draw has a solution."""
+    places = [(name, i) for name, mask in unseen.items() for i in np.flatnonzero(mask).tolist()]
+    learnables, substeps = context.model.learnables, max(int(context.packed().steps.sum()), 1)
+    work = WORK / (1 if context.choice.kernel is not None else SLOWER)
+    count = int(np.clip(work / substeps, FEWEST, DRAWS))
+    shares = sobol(count, len(places) + len(learnables), context.seed)
+    drawn = spread_over_ranges(learnables, shares[:, len(places) :])
+    found = []
+    for i in range(count):
+        factors = 10 ** (LOW + (HIGH - LOW) * shares[i, : len(places)]) if i else np.ones(len(places))
+        layout = _resized(parameters, places, factors)
+        vector = theta if i % 2 == 0 else parameters.vector(parameters.natural(theta), drawn[i])
+        found.append((_loss(context, layout, vector), layout, vector))
+    losses = np.array([loss for loss, _, _ in found])
+    if not np.isfinite(losses).any():
+        return parameters, theta
+    declared, best = 2 * int(np.argmin(losses[::2])), int(np.argmin(losses))
+    _, layout, vector = found[best if losses[best] < CLEARLY * losses[declared] else declared]
+    return layout, vector
+
+
+def _resized(parameters: Parameters, places: list[tuple[str, int]], factors: Array) -> Parameters:
+    """The layout with outputs of networks by factors larger, whose sizes are uncertain by as much as they are large."""
+    fixed = {name: value.copy() for name, value in parameters.fixed.items()}
+    for (name, i), factor in zip(places, factors, strict=True):
+        center, scale = fixed[f"network.{name}.output_center"], fixed[f"network.{name}.output_scale"]
+        scale[i] = factor * max(scale[i], abs(center[i]))
+        center[i] *= factor
+    return replace(parameters, fixed=fixed)
+
+
+def _loss(context: Context, parameters: Parameters, theta: Array) -> float:
+    """Huber's loss of whole solutions, with the priors."""
+    engine = context.engine(parameters, 0.0)
+    residuals = residual_vector(engine, theta)
+    if not np.isfinite(residuals).all():
+        return float("inf")
+    return huber(residuals, 1.0) + Priors.of(engine.problem, parameters, residuals).penalty(theta)
