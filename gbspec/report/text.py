@@ -277,6 +277,7 @@ def run_summary(run: Run) -> str:
         lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
         parts.append(table(["member", "loss", "time"], lines))
         parts.append(_channels(members))
+        parts += _of_logarithms(run)
     if run.fit.solver_reason:
         parts.append(f"solver `{run.fit.solver}`: {run.fit.solver_reason}")
     parts += [
@@ -287,6 +288,15 @@ def run_summary(run: Run) -> str:
     ]
     parts += [f"warning: {warning}" for warning in (*run.fit.warnings, *profile_verdicts(run))]
     return "\n\n".join(parts)
+
+
+def _of_logarithms(run: Run) -> list[str]:
+    """What is to be said of channels whose noise is that of logarithms."""
+    from gbspec.ir import logarithmic
+
+    marked = logarithmic(run.model)
+    names = [f"`{c.name}`" for c, log in zip(run.model.channels, marked, strict=True) if log]
+    return [f"R² of {', '.join(names)}: of logarithms, as the noise is"] if names else []
 
 
 def _channels(members: Sequence[MemberRecord]) -> str:

@@ -80,3 +80,22 @@ def test_predictions_of_a_network_have_as_much_variance_as_the_fit_has_freedom(t
     freedom = float(np.sum(1 - covariance.shares))
     total = sum(float(np.sum((item.sd[:, 0] / noise) ** 2 - 1)) for item in predicted)
     assert 0.4 * freedom < total < 2 * freedom
+
+
+def test_the_noise_of_a_measured_first_value_is_part_of_a_prediction(tmp_path: Path) -> None:
+    """The state adds up a known input: an error of its first value stays. Of four replicates it is half as large."""
+    text = "model tank\ntime t\nstate x in [-2, 9]\nlearn k = 1 in [0, 5]\nx' = k\nobserve x noise normal(0.1)\n"
+    model = model_of(text)
+    random, times = np.random.default_rng(3), np.linspace(0, 4, 12)
+
+    def tanks(count: int, label: str) -> Trajectories:
+        values = [0.5 * times + 0.1 * random.standard_normal(12) for _ in range(count)]
+        items = [trajectory(f"{label}{i}", 0.0, times, one[:, None], []) for i, one in enumerate(values)]
+        return Trajectories(tuple(items), ("x",))
+
+    run = train(model, tanks(20, "old"), TrainOptions(), tmp_path / "run")
+    one = tanks(1, "new")
+    replicated = Trajectories((replace(one.items[0], counts=4 * one.items[0].counts),), ("x",))
+    for data, first in ((one, 0.1), (replicated, 0.05)):
+        (item,) = forecast(run, data).items
+        np.testing.assert_allclose(item.sd[:, 0], np.hypot(0.1, first), rtol=0.05)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.prediction.solutions import Start, predict
-from gbspec.analysis.validation.step_check import StepCheck, step_check
+from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.validate import validate
 from gbspec.backends import Evaluator, load_module
 from gbspec.data.trajectories import Signal, Trajectories
 from gbspec.diagnostics import Findings
 from gbspec.operations import fitting, tables
-from gbspec.runs import open_run
+from gbspec.runs import StepRecord, open_run
 from gbspec.training import TrainOptions
 from gbspec.training.runs.variations import Point
 from tests.training.conftest import model_of, trajectory
@@ -129,3 +129,13 @@ def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_p
     points = [Point("one", {}, replace(options(0.1), members=1))]
     fitting.sweep(model, data, points, tmp_path, TrainOptions(workers=1))
     assert len(open_run(tmp_path / "one").fit.step_checks) == 1
+
+
+def test_other_data_that_are_faster_are_named_and_the_fit_is_not_blamed() -> None:
+    good, bad = StepRecord(1e-3, 1e-3, 0.1, 5), StepRecord(0.2, 0.2, 0.1, 5)
+    check = StepCheck(0.3, 0.3, 0.1, 4, 0, "test2")
+    said = warning_of_other_data(check, good)
+    assert said is not None and "30 % of the states' ranges in `test2`" in said and "learned right-hand" not in said
+    for fitted in (bad, None):
+        assert warning_of_other_data(check, fitted) == check.warning
+    assert warning_of_other_data(StepCheck(1e-3, 1e-3, 0.1, 4), good) is None

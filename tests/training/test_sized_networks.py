@@ -78,7 +78,8 @@ def test_an_argument_that_is_not_measured_is_scaled_by_its_own_range() -> None:
 def test_what_slopes_show_needs_no_draws(balance: str, unseen: bool) -> None:
     """A function in the balance of a measured state has the size of its slopes, whatever its argument is."""
     other = "f(y) - y" if unseen else "-y"
-    text = f"model m\nstate x in [0, 2]\nstate y in [0, 2]\nlearn k = 1\nunknown f(y)\nx' = {balance}\ny' = {other}\nobserve x\n"
+    states = "model m\nstate x in [0, 2]\nstate y in [0, 2]\nlearn k = 1\nunknown f(y)\n"
+    text = f"{states}x' = {balance}\ny' = {other}\nobserve x\n"
     model = model_of(text)
     t = np.linspace(0, 5, 30)
     data = Trajectories((trajectory("1", 0.0, t, np.exp(-t)[:, None], []),), ("x",))

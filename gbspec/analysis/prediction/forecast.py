@@ -16,7 +16,7 @@ import polars as pl
 
 from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
 from gbspec.analysis.prediction.estimate import estimator_of
-from gbspec.analysis.prediction.noise import interval, noise_at
+from gbspec.analysis.prediction.noise import interval, measured_deviations, noise_at
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
@@ -328,6 +328,9 @@ class _MemberPredictions:
             variance, refitted = self._uncertainty(item, seen, start, variables)
         # What training trajectories determine, their own start and the model together, has no further uncertainty.
         if start.origin in ("known", "estimated") and not found.failure:
+            for state, deviation in measured_deviations(self.run, item, self.estimator.free(seen)).items():
+                change = deviation * self._slope(item, start, deviation, state=state)
+                variance = variance + refitted(change) ** 2
             variance = variance + self.displaced.variance(
                 start, variables, lambda evaluator, moved: self._solve(item, moved, evaluator)[1], refitted
             )
@@ -336,6 +339,20 @@ class _MemberPredictions:
     def _solve(self, item: Trajectory, start: Start, evaluator: Evaluator | None = None) -> tuple[Prediction, Array]:
         found = predict(self.evaluator if evaluator is None else evaluator, self.model, item, start)
         return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
+
+    def _slope(
+        self, item: Trajectory, start: Start, size: float, *, state: int | None = None, constant: int | None = None
+    ) -> Array:
+        """The derivative [R, V] of the solution by an initial value or a constant of this size, by differences."""
+        sides, nudge = [], NUDGE * size
+        for by in (nudge, -nudge):
+            moved, constants = start.state.copy(), start.constants.copy()
+            if state is not None:
+                moved[state] += by
+            if constant is not None:
+                constants[constant] += by
+            sides.append(self._solve(item, started(self.evaluator, item, moved, constants, start.origin))[1])
+        return np.asarray((sides[0] - sides[1]) / (2 * nudge), dtype=np.float64)
 
     def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> tuple[Array, Refit]:
         """The variance [R, V] from the covariance of the estimate, the diagonal of J (J'WJ + P)^-1 J', by differences;
@@ -348,18 +365,9 @@ class _MemberPredictions:
         free = [*self.estimator.free(seen)]
         own = list(self.estimator.own)
         scale = np.concatenate([self.estimator.start_sd(seen)[free], self.estimator.own_sd])
-        columns = []
-        for k in range(len(scale)):
-            sides = []
-            for nudge in (NUDGE, -NUDGE):
-                state, constants = start.state.copy(), start.constants.copy()
-                if k < len(free):
-                    state[free[k]] += nudge * scale[k]
-                else:
-                    constants[own[k - len(free)]] += nudge * scale[k]
-                sides.append(self._solve(item, started(self.evaluator, item, state, constants, "estimated"))[1])
-            columns.append((sides[0] - sides[1]) / (2 * NUDGE))
-        moves = np.stack(columns, axis=-1)
+        columns = [self._slope(item, start, scale[k], state=free[k]) for k in range(len(free))]
+        columns += [self._slope(item, start, scale[len(free) + k], constant=place) for k, place in enumerate(own)]
+        moves = np.stack([by * column for by, column in zip(scale, columns, strict=True)], axis=-1)
         rows, channels = len(seen.times), seen.values.shape[1]
         predicted, scales = variables[:rows, :channels], self.estimator.scales
         factor = scales.factor(seen)

@@ -6,7 +6,7 @@ and an interval extends by the same factor upwards and downwards.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
+    from gbspec.data import Trajectory
     from gbspec.ir import Channel, Expr, Model
     from gbspec.runs import FitRecord, Run
 
@@ -28,6 +29,23 @@ def noise_at(run: Run, values: Array) -> Array:
     Student's noise that of a normal one with the same 90 % interval."""
     found = residual_noise(run.model, run.fit, values)
     return np.asarray(found * np.where(logarithmic(run.model), np.abs(values), 1.0), dtype=np.float64)
+
+
+def measured_deviations(run: Run, item: Trajectory, estimated: Sequence[int]) -> dict[int, float]:
+    """The standard deviation of each initial state that the first row of a trajectory gives, without the `estimated`
+    ones: that of its measurement. None has a deviation of zero."""
+    if not len(item.times) or item.times[0] != item.start:
+        return {}
+    values, out = item.values[0], dict[int, float]()
+    deviations = noise_at(run, np.where(np.isfinite(values), values, 0.0))
+    for j, channel in enumerate(run.model.channels):
+        if channel.state is None or channel.state in estimated or not np.isfinite(values[j]):
+            continue
+        stated = item.sd[0, j]
+        deviation = stated if np.isfinite(stated) else deviations[j] / np.sqrt(max(item.counts[0, j], 1))
+        if deviation > 0 and not run.model.states[channel.state].initial.known:
+            out[channel.state] = float(deviation)
+    return out
 
 
 def residual_noise(model: Model, fit: FitRecord, values: Array) -> Array:

@@ -44,7 +44,7 @@ class StepCheck:
 
     `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None without a step or
     trajectories; infinite if the fixed step diverges. `unsolved`: number of trajectories that the training's step can
-    solve and the adaptive solver cannot.
+    solve and the adaptive solver cannot. `label`: the trajectory in which half the step differs most.
     """
 
     half_step: float | None
@@ -52,6 +52,7 @@ class StepCheck:
     step: float | None = None
     trajectories: int = 0
     unsolved: int = 0
+    label: str = ""
 
     def record(self) -> StepRecord:
         """What `fit.json` keeps of it."""
@@ -101,6 +102,19 @@ class StepCheck:
         )
 
 
+def warning_of_other_data(check: StepCheck, fitted: StepRecord | None) -> str | None:
+    """The warning for other data than those of the fit, of which `fitted` is the check."""
+    small = fitted is not None and not fitted.unsolved and fitted.half_step is not None and fitted.half_step <= DEPENDS
+    if check.warning is None or check.unsolved or not small or (check.half_step or 0.0) <= CONVERGED:
+        return check.warning
+    differ = f"by up to {100 * (check.half_step or 0.0):.2g} % of the states' ranges"
+    return (
+        f"half the training step of {check.step:.6g} changes solutions {differ} in `{check.label}`, and those of the "
+        "training data hardly: they are faster here. Errors, predictions and figures are of adaptive steps, which this "
+        "does not concern; exported code with fixed steps needs shorter ones"
+    )
+
+
 def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     """The check of each member of a run just fitted to `trajectories`, from its learned initial states."""
     from gbspec.analysis.prediction import learned_positions, learned_start, predict
@@ -131,25 +145,28 @@ def step_check(
     tried = [failed[k] for k in evenly_spaced(len(failed), LOOKED_AT)]
     solved = [(item, one) for item, one in tried if np.isfinite(_fixed(evaluator, step, item, one)).all()]
     if not pairs:
-        return StepCheck(_halved(evaluator, step, solved) if solved else None, None, step, 0, len(solved))
+        differences = _halved(evaluator, step, solved)
+        return StepCheck(max(differences.values(), default=None), None, step, 0, len(solved))
     chosen = [pairs[k] for k in evenly_spaced(len(pairs), LOOKED_AT)]
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])
     halved = _halved(evaluator, step, [*chosen, *solved], scale)
-    return StepCheck(halved, _largest(adaptive - coarse, scale), step, len(chosen), len(solved))
+    label = max(halved, key=lambda each: halved[each])
+    return StepCheck(halved[label], _largest(adaptive - coarse, scale), step, len(chosen), len(solved), label)
 
 
 def _halved(
     evaluator: Evaluator, step: float, chosen: Sequence[tuple[Trajectory, Prediction]], scale: Array | None = None
-) -> float:
-    """The largest difference between solutions with a step and with half of it, relative to `scale` [n] (their own)."""
-    coarse, fine = (
-        np.concatenate([_fixed(evaluator, step, item, one, parts) for item, one in chosen]) for parts in (1, 2)
-    )
-    if scale is None:
-        scale, _ = truth_scale(coarse, np.maximum(np.abs(coarse).max(axis=0), 1e-12))
-    return _largest(fine - coarse, scale)
+) -> dict[str, float]:
+    """The largest differences between solutions with a step and with half of it by trajectory, relative to `scale` [n]
+    (their own)."""
+    coarse, fine = ([_fixed(evaluator, step, item, one, parts) for item, one in chosen] for parts in (1, 2))
+    if scale is None and coarse:
+        every = np.concatenate(coarse)
+        scale, _ = truth_scale(every, np.maximum(np.abs(every).max(axis=0), 1e-12))
+    each = zip(chosen, coarse, fine, strict=True)
+    return {item.label: _largest(b - a, np.asarray(scale)) for (item, _), a, b in each}
 
 
 def _fixed(evaluator: Evaluator, step: float, item: Trajectory, one: Prediction, parts: int = 1) -> Array:

@@ -13,7 +13,7 @@ from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, share_text
-from gbspec.analysis.validation.step_check import StepCheck, step_check
+from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
 from gbspec.data import channel_scales, states_far_outside
@@ -215,8 +215,9 @@ def validate(
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         solved = [one.states for one in predicted if not one.failure]
         warnings += states_far_outside(run.model, np.concatenate(solved)) if solved else []
-    if check.warning:
-        warnings.append(check.warning)
+    place = 0 if member == "mean" else run.numbers.index(member)
+    said = warning_of_other_data(check, run.fit.step_checks[place] if place < len(run.fit.step_checks) else None)
+    warnings += [said] if said else []
     kept = {} if trajectories is None else limits_kept(run.model, trajectories, predicted)
     compared = None
     if truth and has_reference(run.model):

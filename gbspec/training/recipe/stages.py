@@ -50,6 +50,10 @@ class InitialStates:
         return Outcome({"theta": theta}, mean_loss(residual_vector(self.engine, theta)), True)
 
 
+CLEARLY = 3.0
+"""A mean of squares is clearly larger than another one if it is so by this many standard deviations."""
+
+
 class ChoiceOfFit:
     """Chooses between the fit of single intervals (teacher forcing) and that of whole solutions (autoregressive).
 
@@ -79,7 +83,8 @@ class ChoiceOfFit:
         """Compares the two fits."""
         late = state["theta"]
         interval, whole = self._losses(late, late)
-        if whole <= self.margin * interval:
+        values = max(int(self.free.problem.seen.sum()), 1)
+        if whole <= self.margin * interval * (1 + CLEARLY * np.sqrt(2 / values)):
             return Outcome(state, whole, True)
         refitted = refit_starts(self.free, self.earlier, self.seed)
         other_interval, other_whole = self._losses(self.earlier, refitted)

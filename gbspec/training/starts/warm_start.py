@@ -148,7 +148,9 @@ class _Mismatch:
             by_outputs.append(torch.zeros_like(o) if found[0] is None else found[0])
             by_constants.append(torch.zeros_like(k) if found[1] is None else found[1])
         slope = Bijections.of(self.model.learnables).derivative(u) * (0.0 if self.fixed else 1.0)
-        jac_k = torch.stack(by_constants, 1).numpy()[:, :, len(self.model.constants) :] * slope
+        # Where a derivative has no value (a root at zero), the point says nothing of the constant.
+        slopes = torch.stack(by_constants, 1).numpy()[:, :, len(self.model.constants) :]
+        jac_k = np.nan_to_num(slopes, nan=0.0, posinf=0.0, neginf=0.0) * slope
         return r.detach().numpy(), torch.stack(by_outputs, 1).numpy(), jac_k
 
 

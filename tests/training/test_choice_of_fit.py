@@ -1,0 +1,33 @@
+"""Whole solutions are said to follow the data less well than intervals only where they clearly do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gbspec.backends import load_module
+from gbspec.data import Trajectories
+from gbspec.ir import RK4
+from gbspec.training import TrainOptions
+from gbspec.training.engines import residual_vector
+from gbspec.training.problem import mean_loss
+from gbspec.training.recipe import prepare
+from gbspec.training.recipe.stages import ChoiceOfFit
+from tests.training.conftest import model_of, trajectory
+
+TEXT = "model decay\ntime t from 0\nstate x in [0, 2]\nunknown f(x) by mlp(6)\nx' = -f\ninitial x = 1\nobserve x\n"
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.9999, False), (0.7, False), (0.1, True)])
+def test_a_ratio_that_chance_explains_is_no_reason(share: float, said: bool) -> None:
+    """Of 40 values, the means of squares of the same noise differ by a fifth, and by two thirds in one of 300 cases."""
+    random, times = np.random.default_rng(0), np.linspace(0.1, 3, 40)
+    values = np.exp(-times) + 0.02 * random.standard_normal(40)
+    data = Trajectories((trajectory("1", 0.0, times, values[:, None], []),), ("x",))
+    model = model_of(TEXT)
+    options = TrainOptions(backend="torch", max_step=0.1, solver="rk4")
+    ready = prepare(model, load_module(model, RK4), data, options, 0)
+    whole = ready.context.engine(ready.parameters, 0.0)
+    loss = mean_loss(residual_vector(whole, ready.theta))
+    stage = ChoiceOfFit(lambda theta: share * loss, whole, ready.theta, 0)
+    assert bool(stage.step(stage.begin(ready.theta), 0).note) is said
