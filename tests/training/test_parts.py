@@ -23,7 +23,7 @@ from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.preparation import prepare
 from gbspec.training.recipe.stages import mean_loss
 from gbspec.training.starts.initial_states import refit_starts
-from gbspec.training.starts.splines import curve_of, fit_curves, smoothed
+from gbspec.training.starts.splines import CurveKind, curve_of, fit_curves, smoothed
 from gbspec.training.starts.warm_start import eliminate
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
 from tests.training.reference import linearise, solve, whole_jacobian
@@ -168,13 +168,13 @@ def test_residuals_of_a_solution_that_runs_away_are_no_warning() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 40])
-@pytest.mark.parametrize("smooth", [False, True])
-def test_curves_of_any_number_of_points(count: int, smooth: bool) -> None:
+@pytest.mark.parametrize("kind", ["interpolating", "smooth", "pieces"])
+def test_curves_of_any_number_of_points(count: int, kind: CurveKind) -> None:
     model = model_of(URP)
     times = np.linspace(1.0, 2.0, count)
     values = np.column_stack([np.sin(3 * times), np.full(count, 2.0)])
     data = Trajectories((trajectory("a", 0.0, times, values, [0.3]),), ("x1", "x2"))
-    for curve in fit_curves(model, data, smooth).items[0]:
+    for curve in fit_curves(model, data, kind).items[0]:
         if count < 2:
             assert curve is None
             continue

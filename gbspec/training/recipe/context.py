@@ -28,7 +28,7 @@ from gbspec.training.problem import (
     scaling_of,
     teacher_forcing,
 )
-from gbspec.training.starts import Curves, Points, collocate, fit_curves, with_derived
+from gbspec.training.starts import CurveKind, Curves, Points, collocate, fit_curves, with_derived
 
 TOLERANCE = 1e-5
 """The first relative tolerance of adaptive steps; later stages take less where errors show."""
@@ -55,7 +55,7 @@ class Context:
     options: TrainOptions
     seed: int
     max_step: float
-    smooth: bool
+    kind: CurveKind
     curves: Curves
     points: Points
     start_value: Array
@@ -178,16 +178,16 @@ def build_context(
     trajectories: Trajectories,
     options: TrainOptions,
     seed: int,
-    smooth: bool = False,
+    kind: CurveKind = "interpolating",
 ) -> Context:
-    """The context: splits off the held-out data and prepares the rest; `smooth` selects smoothing curves."""
+    """The context: splits off the held-out data and prepares the rest; `kind`: that of the curves."""
     kept, held = split(trajectories, options.holdout, seed)
     method = METHODS[module.solver]
     max_step = options.max_step or exact_step(model, trajectories)
     if max_step is None:
         max_step = np.inf if is_adaptive(method, options) else default_max_step(trajectories)
     instance = module.random(seed)
-    curves = with_derived(model, instance, kept, fit_curves(model, kept, smooth))
+    curves = with_derived(model, instance, kept, fit_curves(model, kept, kind))
     packed = pack(kept, model, max_step, method=method)
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
@@ -199,7 +199,7 @@ def build_context(
         options,
         seed,
         max_step,
-        smooth,
+        kind,
         curves,
         collocate(model, kept, curves, value),
         value,

@@ -264,7 +264,7 @@ class _Planner:
         """The limit of teacher forcing: few iterations if smoothing curves have shown noise, since it is inconsistent
         then."""
         limit = self._most(StageName.TEACHER)
-        return min(limit, 4) if self.context.smooth else limit
+        return min(limit, 4) if self.context.kind == "smooth" else limit
 
     def _whole_limit(self) -> int:
         """The limit of whole solutions, which most fits do not reach."""
@@ -420,8 +420,9 @@ class _Planner:
         learned = learned_thresholds(self.context.model)
 
         def make(reached: Reached) -> Stage:
-            engine, options = self.context.engine(self.parameters, 1.0), self._regular(reached.theta)
-            return ThresholdSearch(engine, self.context.seed, self.effort, options)
+            pieces = self.context.kind == "pieces"  # noisy rows beyond a threshold would never see its event
+            engine = self._imputed(0) if pieces else self.context.engine(self.parameters, 1.0)
+            return ThresholdSearch(engine, self.context.seed, self.effort, self._regular(reached.theta), self._random)
 
         most = THRESHOLD_PATIENCE[self.effort].improved if learned else 0
         return Planned(StageName.SEARCH, most, make)

@@ -22,6 +22,7 @@ from gbspec.training.starts import (
     Earlier,
     Eliminated,
     collocate,
+    curve_kinds,
     earlier,
     eliminate,
     network_scales,
@@ -33,7 +34,7 @@ from gbspec.training.starts import (
 )
 
 SUSPECT = 0.03
-"""Smoothing is tried above this typical residual (in standard deviations of the data) with interpolating curves."""
+"""Other curves are tried above this typical residual (in standard deviations of the data) with interpolating curves."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Prepared:
 def prepare(
     model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
 ) -> Prepared:
-    """The context and the initial vector, from interpolating curves, or smoothing ones if these give a better fit.
+    """The context and the initial vector, from interpolating curves, or from other ones if these give a better fit.
 
     With `--start` the networks and constants of an earlier run replace those that have their names.
     """
@@ -59,8 +60,9 @@ def prepare(
         return first
     if _misfit(first) <= SUSPECT:
         return first
-    second = _attempt(_weighed(_sized(build_context(model, module, trajectories, options, seed, smooth=True))))
-    return min(first, second, key=_misfit)
+    kinds = curve_kinds(model, first.context.curves)
+    others = [build_context(model, module, trajectories, options, seed, kind) for kind in kinds]
+    return min(first, *(_attempt(_weighed(_sized(other))) for other in others), key=_misfit)
 
 
 def _weighed(context: Context) -> Context:

@@ -27,6 +27,8 @@ SLOWER = 30
 """The torch graph gets so many times fewer draws."""
 LOW, HIGH = -1.5, 2.5
 """Decadic logarithms of the factors: guesses by slopes of zero are too small more often than too large."""
+FOLLOWED = 0.25
+"""Mean loss up to which nothing is drawn: whole solutions follow the data (R² above 0.5) with the guess already."""
 CLEARLY = 0.8
 """Drawn constants are taken instead of the declared ones where they leave less than this of the loss."""
 
@@ -36,6 +38,8 @@ def sized_networks(
 ) -> tuple[Parameters, Array]:
     """The layout with the best drawn sizes of the `unseen` outputs of networks, and the vector with the best drawn
     constants; both as they were if no draw has a solution."""
+    if _loss(context, parameters, theta) <= FOLLOWED * int(context.problem().seen.sum()):
+        return parameters, theta
     places = [(name, i) for name, mask in unseen.items() for i in np.flatnonzero(mask).tolist()]
     learnables, substeps = context.model.learnables, max(int(context.packed().steps.sum()), 1)
     work = WORK / (1 if context.choice.kernel is not None else SLOWER)

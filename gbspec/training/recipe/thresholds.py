@@ -8,7 +8,7 @@ minima than whole solutions, and show an event by what it does to the next rows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from gbspec.arrays import Array
 from gbspec.ir import Model
@@ -34,11 +34,29 @@ def learned_thresholds(model: Model) -> list[str]:
 
 
 class ThresholdSearch(Search):
-    """The search for constants of events beside networks, whose weights start from those of the warm start."""
+    """The search for constants of events beside networks, whose weights start from those of the warm start.
 
-    def __init__(self, engine: Engine, seed: int, effort: Effort, options: LevenbergOptions) -> None:
+    `random` gives the vector with other random weights, by a number.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        seed: int,
+        effort: Effort,
+        options: LevenbergOptions,
+        random: Callable[[Array, int], Array],
+    ) -> None:
         super().__init__(engine, None, seed, effort, patience=PATIENCE[effort])
-        self.options, self.iterations = options, ITERATIONS
+        self.options, self.iterations, self.random = options, ITERATIONS, random
+
+    def _candidates(self, theta: Array) -> Array:
+        """Every other draw with other weights: those of the warm start may be in a wrong minimum."""
+        out = super()._candidates(theta)
+        n = self.parameters.n_weights
+        for i in range(3, len(out), 2):
+            out[i, :n] = self.random(theta, i)[:n]
+        return out
 
     def _preferred(self, minima: State, theta: Array, best: float) -> Array:
         """The best one: weights have not come to rest, so that none is known to be a minimum."""

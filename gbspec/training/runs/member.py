@@ -84,7 +84,7 @@ def fit_member(
     with uninterrupted() as interrupted:
         if kept is not None:
             arrays, remarks = kept
-            context = build_context(model, module, trajectories, options, seed, remarks.smooth)
+            context = build_context(model, module, trajectories, options, seed, remarks.curves)
             fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
             runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
         else:
@@ -364,8 +364,7 @@ class _Runner:
         factor = widening(result.channels)
         if position.finished and not self.context.model.marginal:
             names = [stage.name for stage in fitted]
-            known = certainties(self.context, self.parameters, position.best, names, instance)
-            known = known.widened(factor)
+            known = certainties(self.context, self.parameters, position.best, names, instance).widened(factor)
             known.write(self.directory)
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
             result.left += said_of_splines(self.context, self.parameters, position.best, names)
@@ -435,7 +434,8 @@ class _Runner:
             iteration=position.iteration,
             seconds=position.seconds,
             finished=position.finished,
-            smooth=self.context.smooth,
+            smooth=self.context.kind == "smooth",
+            pieces=self.context.kind == "pieces",
             stages=tuple(position.stages),
             notes=tuple(position.notes),
             exact=Exact(position.loss.hex(), position.best_score.hex(), position.certainty.freedom.hex()),

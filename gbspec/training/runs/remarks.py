@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.runs import StageRecord
+from gbspec.training.starts import CurveKind
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Exact:
 class Remarks:
     """What a checkpoint holds beside its arrays; see `Position`. Losses and constants of the history are hexadecimal.
 
-    `smooth`: whether the measured values were smoothed for the warm start.
+    `smooth`: whether the measured values were smoothed for the warm start, `pieces`: whether piece by piece.
     """
 
     stage: int
@@ -33,3 +34,9 @@ class Remarks:
     exact: Exact
     history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
     best_stages: int = 0
+    pieces: bool = False
+
+    @property
+    def curves(self) -> CurveKind:
+        """The kind of the curves of the warm start."""
+        return "pieces" if self.pieces else "smooth" if self.smooth else "interpolating"

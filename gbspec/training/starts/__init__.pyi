@@ -12,7 +12,9 @@ from .sizes import sized_starts as sized_starts
 from .sizes import unsized as unsized
 from .slopes import Points as Points
 from .slopes import collocate as collocate
+from .splines import CurveKind as CurveKind
 from .splines import Curves as Curves
+from .splines import curve_kinds as curve_kinds
 from .splines import fit_curves as fit_curves
 from .warm_start import Eliminated as Eliminated
 from .warm_start import eliminate as eliminate

@@ -7,6 +7,8 @@ cross-validation), since differentiation amplifies noise.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from sympy.core.function import AppliedUndef
@@ -34,7 +36,7 @@ def with_derived(model: Model, module: GeneratedModule, trajectories: Trajectori
             row = list(curves.items[index])
             row[state] = _derived(model, module, item, curves.items[index], balance, state)
             items.append(tuple(row))
-        new = Curves(tuple(items))
+        new = replace(curves, items=tuple(items))
         if not new.covers(state):
             return curves
         curves, found = new, determined(model, new)

@@ -96,6 +96,8 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
             continue
         count = min(share, max(min(4 * len(item.times), LEAST), len(item.times)))
         t = low + (high - low) * (np.arange(count) + 0.5) / count
+        t = t[~((curves.gaps[i][:, :1] < t) & (t < curves.gaps[i][:, 1:])).any(axis=0)]
+        count = len(t)
         x, slope = np.tile(guess[i], (count, 1)), np.zeros((count, len(model.states)))
         for state, curve in zip(covered, present, strict=True):
             x[:, state], slope[:, state] = curve.value(t), curve.slope(t)

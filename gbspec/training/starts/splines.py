@@ -1,8 +1,8 @@
 """A curve through each measured state of each trajectory, for warm starts and imputed values.
 
 Either interpolating (cubic; shape preserving where the data are monotone, so that a curve does not wiggle between
-sparse points) or smoothed by generalised cross-validation. The warm start tries both: cross-validation alone would
-treat sparsely sampled oscillations as noise.
+sparse points) or smoothed by generalised cross-validation, or smooth in pieces where events set states. The warm start
+tries them: cross-validation alone would treat sparsely sampled oscillations as noise.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_smoothing_spline
@@ -17,9 +18,11 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_smoothing_spl
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.ir import Model
+from gbspec.training.starts.jumps import gaps, jumping
 from gbspec.training.starts.readings import readings
 
 Curve = Callable[[Array], Array]
+CurveKind = Literal["interpolating", "smooth", "pieces"]
 TOGETHER = 1e-6
 """Rows that are closer than this part of the usual distance have the same time."""
 
@@ -47,35 +50,98 @@ class StateCurve:
 
 @dataclass(frozen=True)
 class Curves:
-    """Curves by trajectory and state (None: not measured there, or fewer than two points)."""
+    """Curves by trajectory and state (None: not measured there, or fewer than two points).
+
+    `gaps`: for each trajectory the times [G, 2] between which no slope is that of a balance, since states may jump.
+    """
 
     items: tuple[tuple[StateCurve | None, ...], ...]
+    gaps: tuple[Array, ...]
 
     def covers(self, state: int) -> bool:
         """Whether the state has a curve in at least one trajectory."""
         return any(item[state] is not None for item in self.items)
 
 
-def fit_curves(model: Model, trajectories: Trajectories, smooth: bool = False) -> Curves:
-    """Fits all curves, interpolating or smoothing (where a series is long enough for that).
+def fit_curves(model: Model, trajectories: Trajectories, kind: CurveKind = "interpolating") -> Curves:
+    """Fits all curves: interpolating, or smooth (where a series is long enough for that), or smooth in pieces.
 
     Of states that are measured directly, and of those whose values formulas of channels give.
     """
-    direct = {channel.state: i for i, channel in enumerate(model.channels) if channel.state is not None}
-    through, items = readings(model), []
-    for item in trajectories.items:
+    values = _measured(model, trajectories)
+    between = gaps(model, trajectories, values) if kind == "pieces" else [np.zeros((0, 2))] * len(values)
+    items = []
+    for item, states, gap in zip(trajectories.items, values, between, strict=True):
         row: list[StateCurve | None] = []
         for state in range(len(model.states)):
-            values = np.full(len(item.times), np.nan)
-            if state in direct:
-                values = item.values[:, direct[state]]
-            elif state in through:
-                values = through[state].values(item.values[:, through[state].channel], item.condition)
-            seen = np.isfinite(values)
-            t, y = item.times[seen], values[seen]
-            row.append(curve_of(t, y, smoothed(t, y) if smooth else None))
+            seen = np.isfinite(states[:, state])
+            t, y = item.times[seen], states[seen, state]
+            if kind == "pieces":
+                row.append(_in_pieces(t, y, gap.mean(axis=1)))
+            else:
+                row.append(curve_of(t, y, smoothed(t, y) if kind == "smooth" else None))
         items.append(tuple(row))
-    return Curves(tuple(items))
+    return Curves(tuple(items), tuple(between))
+
+
+def curve_kinds(model: Model, curves: Curves) -> tuple[CurveKind, ...]:
+    """The kinds that a warm start tries after interpolating `curves`."""
+    return ("smooth", "pieces") if any(curves.covers(i) for i in jumping(model)) else ("smooth",)
+
+
+def _measured(model: Model, trajectories: Trajectories) -> list[Array]:
+    """The measured values of states [R, n_states] of each trajectory, NaN where there are none."""
+    direct = {channel.state: i for i, channel in enumerate(model.channels) if channel.state is not None}
+    through, out = readings(model), []
+    for item in trajectories.items:
+        values = np.full((len(item.times), len(model.states)), np.nan)
+        for state in range(len(model.states)):
+            if state in direct:
+                values[:, state] = item.values[:, direct[state]]
+            elif state in through:
+                found = through[state]
+                values[:, state] = found.values(item.values[:, found.channel], item.condition)
+        out.append(values)
+    return out
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """One smooth curve after another: the `n`-th one up to the time `ends[n]`."""
+
+    curves: tuple[Curve, ...]
+    ends: Array
+
+    def __call__(self, t: Array) -> Array:
+        """The values at times `t`."""
+        which, out = np.searchsorted(self.ends, t), np.zeros(np.shape(t))
+        for i in np.unique(which):
+            out[which == i] = self.curves[i](t[which == i])
+        return out
+
+
+def _in_pieces(t: Array, y: Array, ends: Array) -> StateCurve | None:
+    """The curve in pieces that end at these times; None with fewer than two points."""
+    if len(t) < 2:
+        return None
+    which, values, slopes, kept = np.searchsorted(ends, t), [], [], []
+    for i in np.unique(which):
+        value, slope = _piece(t[which == i], y[which == i])
+        values.append(value)
+        slopes.append(slope)
+        kept.append(ends[i] if i < len(ends) else np.inf)
+    until = np.array(kept[:-1])
+    low, high, bottom, top = float(t[0]), float(t[-1]), float(y.min()), float(y.max())
+    return StateCurve(Pieces(tuple(values), until), Pieces(tuple(slopes), until), low, high, bottom, top)
+
+
+def _piece(t: Array, y: Array) -> tuple[Curve, Curve]:
+    """A smooth curve of a few points, and its slope: a spline, or a parabola, a line or a constant."""
+    smooth = smoothed(t, y)
+    if smooth is not None:
+        return smooth, smooth.derivative()
+    polynomial = np.polynomial.Polynomial.fit(t, y, min(len(t) // 2, 2)) if len(t) > 1 else np.polynomial.Polynomial(y)
+    return polynomial, polynomial.deriv()
 
 
 def smoothed(t: Array, y: Array, unit: float | None = None) -> SmoothCurve | None:

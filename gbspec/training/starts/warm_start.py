@@ -300,7 +300,10 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
         given = np.array([bounds is not None and bounds.bounded for bounds in ranges], dtype=bool)
         arguments = np.where(given | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
         for i, bounds in enumerate(ranges):
-            if bounds is not None and bounds.bounded and np.ptp(known[..., i]) == 0 < np.ptp(spread[..., i]):
+            guess = known[..., i]  # of a state that nothing measures: it may lie beyond the argument's own range
+            if bounds is None or not bounds.bounded or np.ptp(guess) > 0 or np.ptp(spread[..., i]) == 0:
+                continue
+            if not bounds.low <= guess.flat[0] <= bounds.high:
                 arguments[..., i] = np.linspace(bounds.low, bounds.high, len(known))[:, None]
         width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
         columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
