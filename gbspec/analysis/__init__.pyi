@@ -19,6 +19,7 @@ from .prediction.forecast import Forecast as Forecast
 from .prediction.forecast import PredictedTrajectory as PredictedTrajectory
 from .prediction.forecast import Use as Use
 from .prediction.forecast import forecast as forecast
+from .prediction.forecast import said_of_items as said_of_items
 from .prediction.noise import interval as interval
 from .prediction.noise import noise_at as noise_at
 from .prediction.solutions import Prediction as Prediction
@@ -31,6 +32,7 @@ from .prediction.solutions import needed as needed
 from .prediction.solutions import predict as predict
 from .prediction.start_comparison import InitialStates as InitialStates
 from .prediction.start_comparison import initial_states as initial_states
+from .prediction.trained import Trained as Trained
 from .simulation.simulate import simulate as simulate
 from .simulation.simulate import true_starts as true_starts
 from .systems.bands import function_bands as function_bands

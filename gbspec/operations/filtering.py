@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,11 +37,11 @@ def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[st
 def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:
     """Channels and states at all rows of a table, with bands, as the measurements of the first `window` rows (all of
     them without it) show them; of the best member."""
-    from gbspec.analysis import Forecast, PredictedTrajectory, Start
+    from gbspec.analysis import Forecast, PredictedTrajectory, Start, Trained, said_of_items
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
-    model = run.model
+    model, trained = run.model, Trained.of(run)
     items: list[PredictedTrajectory] = []
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
     for item, one in zip(data.items, filtered.smoothed(), strict=True):
@@ -51,6 +52,8 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         values = np.concatenate([item.values[rows], np.full((len(mean), len(hidden)), np.nan)], axis=1)
         used = _uses(np.isfinite(item.values[rows]), window)
         first = one.states[0] if len(one.states) else np.full(len(model.states), np.nan)
+        start = Start(first, run.member(run.best).weights["constants"], "estimated")
+        lost = ~np.isfinite(mean).all(axis=1)
         items.append(
             PredictedTrajectory(
                 item.label,
@@ -59,16 +62,16 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
                 np.where(log, sd * np.abs(mean), sd),
                 values,
                 used,
-                ((),) * len(mean),
-                Start(first, run.member(run.best).weights["constants"], "estimated"),
+                trained.outside(model, replace(item, times=item.times[rows]), one.states, start),
+                start,
                 (),
                 log,
+                f"the moments of the filter are not finite from {item.times[rows][lost][0]:g} on" if lost.any() else "",
             )
         )
     channels, states = tuple(c.name for c in model.channels), tuple(s.name for s in model.states)
-    warnings = () if filtered.finite else ("the moments of the filter are not finite",)
     names = (*channels, *(states[i] for i in hidden))
-    return Forecast(names, channels, states, tuple(items), 1, warnings, model.time.name)
+    return Forecast(names, channels, states, tuple(items), 1, tuple(said_of_items(items)), model.time.name)
 
 
 def _uses(measured: Mask, window: int | None) -> tuple[Use, ...]:

@@ -92,7 +92,9 @@ def test_without_data_the_protocol_has_general_values(tmp_path: Path, write_run:
 def test_a_bundled_case_is_not_changed_by_data(write_run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[SimulateOptions] = []
 
-    def compared(model: Model, evaluators: object, sampling: SimulateOptions, metrics: MetricsOptions) -> None:
+    def compared(
+        model: Model, evaluators: object, sampling: SimulateOptions, metrics: MetricsOptions, support: object
+    ) -> None:
         seen.append(sampling)
         raise ComputationError("not made here")
 

@@ -104,6 +104,20 @@ def test_a_near_fit_has_small_errors_of_the_right_size(urp_instance: Any) -> Non
     assert found.constants == {"all": 0.0, "B": 0.0, "beta": 0.0}
 
 
+def test_functions_are_also_compared_at_the_arguments_of_the_training(urp_instance: Any) -> None:
+    """A transient has been where the drawn points, at rest, are not."""
+    model = model_of("urp_gb2")
+    case = bundled_case(model)
+    assert case is not None
+    points = np.random.default_rng(0).uniform([0.1, 0.5, 0.2], [0.6, 2.5, 0.4], (30, 3))
+    support = {model.networks[0].name: Support(points, np.zeros(30, dtype=np.int64))}
+    found = truth_errors(model, [Evaluator(urp_instance)], case.sampling, FEW, support)
+    assert found.on_data["phi"].points == 30
+    assert 0 < found.on_data["phi"].L2 != found.functions["phi"].L2
+    assert "phi, training data" in str(found)
+    assert found.to_json()["functions_on_data"]
+
+
 def test_the_error_of_the_function_is_that_of_the_network(urp_instance: Any) -> None:
     # With the constants right, the right-hand side's errors are those of phi: once in x1, 11 times in x2.
     model = model_of("urp_gb2")

@@ -38,6 +38,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         assert made.exit_code == 0, made.stderr
         made = call("train", folder / f"{name}.gb", table, "-o", folder / f"{name}_run", "--effort", "low", "--quiet")
         assert made.exit_code == 0, made.stderr
+        assert "whole solutions" in made.stdout and not made.stderr  # what a fit found is its result
     yield folder
 
 

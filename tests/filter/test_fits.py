@@ -19,6 +19,7 @@ from gbspec.operations import analysing, fitting, models
 from gbspec.runs import Run, files, open_run
 from gbspec.training import TrainOptions, filter_run, train
 from gbspec.training.engines import whiteness
+from gbspec.training.runs.filtering import FilteredRun, RowMoments
 
 PROCESS = """model process
 time t
@@ -146,6 +147,23 @@ def test_predictions_are_smoothed_states_with_bands_that_widen_after_the_window(
     noise = run.fit.noise["X"] or 0.0
     sd = np.sqrt(constants["s"].value ** 2 / (2 * constants["theta"].value) + noise**2)
     assert width[-1] == pytest.approx(2 * 1.645 * sd, rel=1e-2)
+
+
+def test_predictions_without_a_number_are_told(
+    fitted: tuple[Run, Trajectories], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, data = fitted
+    item, smoothed = data.items[0], FilteredRun.smoothed
+
+    def broken(self: FilteredRun, draws: int = 0) -> list[RowMoments]:
+        *rest, last = smoothed(self, draws)
+        return [*rest, replace(last, channels=np.full_like(last.channels, np.nan))]
+
+    monkeypatch.setattr(FilteredRun, "smoothed", broken)
+    found = analysing.predict(run, replace(data, items=(item, replace(item, label="lost"))))
+    assert found.items[1].failure and not found.items[0].failure
+    assert any("`lost` could not be predicted" in text for text in found.warnings)
+    assert "shown by all of their measurements" in str(found)
 
 
 def test_what_is_hidden_is_not_used(fitted: tuple[Run, Trajectories]) -> None:

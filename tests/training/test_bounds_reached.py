@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 import gbspec
-from gbspec.runs import ConstantRecord
+from gbspec.runs import ChannelRecord, ConstantRecord
 from gbspec.training.problem import Bijection
-from gbspec.training.runs.constants import at_bounds, inside_bounds, undetermined
+from gbspec.training.runs.constants import at_bounds, inside_bounds, said_of_constants, undetermined
+from gbspec.training.runs.summary import MemberResult
 
 TEXT = """\
 model m
@@ -151,3 +154,16 @@ def test_a_constant_that_follows_from_another_ones_bound_has_no_interval(tmp_pat
     found = gbspec.open_run(tmp_path / "run").profile("d")
     assert found.low is not None
     assert found.low < 10
+
+
+@pytest.mark.parametrize(("r2", "lost"), [(0.5, False), (0.1, True), (None, True)])
+def test_a_fit_that_follows_no_data_says_nothing_of_its_constants(tmp_path: Path, r2: float | None, lost: bool) -> None:
+    """Widening the bounds, or giving the constant a value, would not mend a wrong minimum."""
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k = 0.5 in [0.1, 2]"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    constants = {"k": ConstantRecord(0.5, 0.9, (0.1, 2.0), 0.5, (0.5,), None)}
+    result = cast(MemberResult, SimpleNamespace(channels={"x": ChannelRecord(r2, 0.2)}))
+    found = said_of_constants(model, constants, [(0, "k", 2.0)], {0: result})
+    assert any("not determined" in text for text in found) is not lost
+    assert any("widen the bounds" in text for text in found) is not lost
+    assert any("says nothing of where the constant lies" in text for text in found) is lost

@@ -7,7 +7,7 @@ are used; later measurements are only compared with the predictions.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -20,14 +20,13 @@ from gbspec.analysis.prediction.noise import interval, measured_deviations, nois
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
-    extrapolated,
     learned_positions,
     learned_start,
     predict,
     started,
 )
+from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import first_rows, window_rows
-from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
 from gbspec.data import TRAJECTORY
 from gbspec.diagnostics import ComputationError
@@ -180,7 +179,9 @@ class Forecast(Tabled):
             )
         for origin, words in ORIGINS.items():
             of_it = [item for item in self.items if item.start.origin == origin]
-            if of_it:
+            if origin == "estimated" and of_it and all(use == "window" for item in of_it for use in item.used):
+                lines.append(f"{_count(len(of_it))}: {SMOOTHED}")
+            elif of_it:
                 what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
                 lines.append(f"{_count(len(of_it))}: {words}" + (f" ({what})" if what else ""))
         lines += [f"warning: {warning}" for warning in self.warnings]
@@ -193,6 +194,9 @@ ORIGINS = {
     "estimated": "what is unknown of them was estimated from the first rows, with all shared parameters held fixed",
     "failed": "no initial state was found from which it can be solved",
 }
+
+
+SMOOTHED = "shown by all of their measurements; `--window N` predicts the rows after the first N from these"
 
 
 def _count(number: int) -> str:
@@ -220,7 +224,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         _MemberPredictions(Evaluator(member), run, trajectories, scales, covariance, released)
         for member, covariance in zip(run.members, known, strict=True)
     ]
-    trained = Trained(trained_ranges(run.model, run.members[0]), extrapolation_of(run))
+    trained = Trained.of(run)
     items = tuple(_joined(each, index, window, trained) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
         first = items[0]
@@ -237,7 +241,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         members=len(each),
         time=run.model.time.name,
         warnings=(
-            *_warnings(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
+            *said_of_items(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
             *_without_effect(items, window),
         ),
     )
@@ -262,7 +266,9 @@ def _narrow(model: Model) -> str:
     )
 
 
-def _warnings(items: Sequence[PredictedTrajectory], narrow: str) -> list[str]:
+def said_of_items(items: Sequence[PredictedTrajectory], narrow: str = "") -> list[str]:
+    """Warnings of trajectories without predictions and of predictions far from the training data; `narrow` is what the
+    intervals lack."""
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if narrow:
         found.append(narrow)
@@ -418,32 +424,3 @@ def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, 
     outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
                                in_logarithms, failure)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Trained:
-    """Where a run was trained: the `ranges` of states and conditions, and how far the data lie, if that is known."""
-
-    ranges: Mapping[str, tuple[float, float]]
-    extrapolation: Extrapolation | None
-
-    def outside(self, model: Model, item: Trajectory, states: Array, start: Start) -> tuple[tuple[str, ...], ...]:
-        """For each row the functions that are extrapolated, and the states and conditions outside their trained ranges.
-
-        Where it is known how far the data lie, a range (left by more than a hundredth of its width) counts only in rows
-        in which a function is extrapolated.
-        """
-        values: dict[str, Array] = {
-            **{state.name: states[:, i] for i, state in enumerate(model.states)},
-            **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},
-        }
-        beyond = {}
-        for name, (low, high) in self.ranges.items():
-            if name in values:
-                slack = 0.01 * (high - low)
-                beyond[name] = (values[name] < low - slack) | (values[name] > high + slack)
-        if self.extrapolation is not None:
-            far = extrapolated(self.extrapolation, model, item, states, start)
-            anywhere = np.any([*far.values(), np.zeros(len(states), dtype=bool)], axis=0)
-            beyond = {name: flags & anywhere for name, flags in beyond.items()} | far
-        return tuple(tuple(name for name, flags in beyond.items() if flags[row]) for row in range(len(states)))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gbspec.backends import Evaluator
     from gbspec.data import MetricsOptions, SimulateOptions
     from gbspec.ir import Model
+    from gbspec.runs import Support
 
 
 LEARNED_RTOL = 1e-7
@@ -30,7 +31,8 @@ error relative to the variation would say nothing about the function's values.""
 
 @dataclass(frozen=True)
 class TruthErrors:
-    """Errors against the truth. `functions` has each unknown by name, and under `all` the vector of them.
+    """Errors against the truth. `functions` has each unknown by name, and under `all` the vector of them; `on_data`
+    each of them at the arguments that it had in the training.
 
     `constants` has the relative error of each learnable with a truth, and their mean as `all`, or is empty.
     `protocol` describes the points of the comparison.
@@ -41,6 +43,7 @@ class TruthErrors:
     functions: Mapping[str, Norms] = field(default_factory=dict)
     constants: Mapping[str, float] = field(default_factory=dict)
     protocol: Mapping[str, float] = field(default_factory=dict)
+    on_data: Mapping[str, Norms] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, object]:
         """Keys solution, rhs, functions, constants, then the protocol."""
@@ -49,12 +52,14 @@ class TruthErrors:
             "rhs": self.rhs.to_json(),
             "functions": {name: value.to_json() for name, value in self.functions.items()},
             "constants": {name: finite(value) for name, value in self.constants.items()},
+            "functions_on_data": {name: value.to_json() for name, value in self.on_data.items()},
             "protocol": dict(self.protocol),
         }
 
     def __str__(self) -> str:
         lines = {"solution": str(self.solution), "right-hand side": str(self.rhs)}
         lines |= {f"function {name}": str(value) for name, value in self.functions.items()}
+        lines |= {f"{name}, training data": str(value) for name, value in self.on_data.items()}
         if self.constants:
             each = ", ".join(f"{name} {value:.3g}" for name, value in self.constants.items() if name != "all")
             lines["constants"] = f"{self.constants['all']:.3g} ({each})"
@@ -67,8 +72,10 @@ def truth_errors(
     evaluators: Sequence[Evaluator],
     sampling: SimulateOptions,
     options: MetricsOptions,
+    support: Mapping[str, Support] | None = None,
 ) -> TruthErrors:
-    """Compares the mean of the members' `evaluators` with the truth of their model.
+    """Compares the mean of the members' `evaluators` with the truth of their model; `support` has the arguments of each
+    network in the training.
 
     Raises UserError if the model has no truth (GB803) or the sampling does not fit it (GB751 to GB755), and
     ComputationError if the truth cannot be solved.
@@ -92,6 +99,7 @@ def truth_errors(
         functions=_functions(model, evaluators, truth, at),
         constants=_constants(model, evaluators),
         protocol=protocol,
+        on_data=_on_data(model, evaluators, truth, support or {}),
     )
 
 
@@ -185,6 +193,20 @@ def _functions(model: Model, evaluators: Sequence[Evaluator], truth: Evaluator, 
         return {}
     found = {name: _norms_of([name], [pair]) for name, pair in columns.items()}
     return {"all": _norms_of(list(first), list(first.values())), **found}
+
+
+def _on_data(
+    model: Model, evaluators: Sequence[Evaluator], truth: Evaluator, support: Mapping[str, Support]
+) -> dict[str, Norms]:
+    """The errors of each unknown at the arguments that its network had in the training."""
+    found = {}
+    for unknown in model.unknowns:
+        known = support.get(model.networks[unknown.network].name)
+        if known is not None and len(known.points):
+            learned = np.mean([one.functions_many(unknown.name, known.points) for one in evaluators], axis=0)
+            true = _true_function(model, unknown.name, truth.constants)(known.points)
+            found[unknown.name] = _norms_of([unknown.name], [(true, np.asarray(learned))])
+    return found
 
 
 def _norms_of(names: Sequence[str], pairs: Sequence[tuple[Array, Array]]) -> Norms:

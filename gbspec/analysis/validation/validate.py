@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gbspec.backends import Evaluator
     from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
     from gbspec.ir import Model
-    from gbspec.runs import Run
+    from gbspec.runs import Run, Support
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,8 @@ def validate(
     kept = {} if trajectories is None else limits_kept(run.model, trajectories, predicted)
     compared = None
     if truth and has_reference(run.model):
-        compared = _against_truth(run.model, evaluators, trajectories, sampling, metrics, warnings)
+        support = run.certainties(run.numbers[0] if member == "mean" else member).support
+        compared = _against_truth(run.model, evaluators, trajectories, sampling, metrics, warnings, support)
     return Validation(member, channels, errors, check, compared, tuple(warnings), predicted, worst,
                       limits=kept)  # fmt: skip
 
@@ -301,6 +302,7 @@ def _against_truth(
     sampling: SimulateOptions | None,
     metrics: MetricsOptions | None,
     warnings: list[str],
+    support: Mapping[str, Support],
 ) -> TruthErrors | None:
     """The errors against the truth; None, and a warning, if the comparison cannot be made."""
     from gbspec.data import MetricsOptions as Metrics
@@ -316,7 +318,7 @@ def _against_truth(
     if metrics is None:
         metrics = case.metrics if case is not None else _few() if model.delays else Metrics()
     try:
-        found = truth_errors(model, evaluators, sampling, metrics)
+        found = truth_errors(model, evaluators, sampling, metrics, support)
     except UserError as error:
         warnings.append(
             "the model was not compared with its truth, since the points are not determined: "

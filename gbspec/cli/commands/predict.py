@@ -33,7 +33,8 @@ def run(
         typer.Option(
             "--window",
             help="Number of measured rows from which the initial state of a new trajectory is estimated, measured "
-            "first values included; default: a third of them, at least three, for values that are not measured.",
+            "first values included; default: a third of them, at least three, for values that are not measured (models "
+            "with `diffusion`: all rows show each of them).",
             metavar="ROWS",
         ),
     ] = None,
@@ -55,7 +56,7 @@ def run(
         found = analysing.predict(opened, table, window=rows, path=path)
     output.say(f"wrote {to}")
     output.document({"path": to, **found.to_json()})
-    output.summary(str(found))
+    output.result(str(found))
 
 
 def window_of(from_start: bool, window: int | None) -> int | None:

@@ -48,7 +48,7 @@ def run(
     with continued(directory), shown(output) as progress:
         made = fitting.train(specified, measured, directory, options, progress)
     output.say(f"wrote {to}")
-    output.summary(run_summary(made))
+    output.result(run_summary(made))
     output.document(made.fit.to_json())
 
 

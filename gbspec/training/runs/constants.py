@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +16,7 @@ from gbspec.ir import Learnable, Model
 from gbspec.runs import ConstantRecord, OwnRecord
 from gbspec.training.problem import Bijection, Bijections
 from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.verdict import lost
 
 TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
@@ -174,10 +176,28 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
     return out
 
 
-def ended_at_bounds(ended: Iterable[tuple[int, str, float]]) -> list[str]:
+def said_of_constants(
+    model: Model,
+    constants: Mapping[str, ConstantRecord],
+    ended: Sequence[tuple[int, str, float]],
+    results: Mapping[int, MemberResult],
+) -> list[str]:
+    """What is said of constants that the data do not determine, or that `ended` at bounds; members that follow no data
+    say nothing of them."""
+    astray = lost(results)
+    unclear = undetermined(model, constants) if len(astray) < len(results) else []
+    return [*unclear, *ended_at_bounds(ended, astray)]
+
+
+def ended_at_bounds(ended: Iterable[tuple[int, str, float]], astray: AbstractSet[int]) -> list[str]:
     """A warning for each constant of a member that ended at a bound."""
+
+    def meaning(member: int, bound: float) -> str:
+        if member in astray:
+            return "since its solutions do not follow the data, that says nothing of where the constant lies"
+        return "the data do not need it" if not bound else "widen the bounds if values beyond it are plausible"
+
     return [
-        f"member {member}: `{name}` ended at its bound {bound:g}; "
-        + ("the data do not need it" if not bound else "widen the bounds if values beyond it are plausible")
+        f"member {member}: `{name}` ended at its bound {bound:g}; {meaning(member, bound)}"
         for member, name, bound in ended
     ]

@@ -43,10 +43,9 @@ from gbspec.training.runs.constants import (
     at_bounds,
     constant_record,
     correlations_of,
-    ended_at_bounds,
     moving_together,
     own_records,
-    undetermined,
+    said_of_constants,
 )
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.minima import said_of_minima
@@ -361,15 +360,15 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     )
     weighed = [r.scales for r in ordered if r.scales is not None]
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
-    bounds = ended_at_bounds(ended)
     constants = {k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables}
+    said = said_of_constants(model, constants, ended, results)
     together = moving_together(correlations, [name for name, each in constants.items() if each.certain])
     return replace(
         record,
         constants=constants,
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
-        warnings=(*warnings_of(results, options, model), *together, *undetermined(model, constants), *bounds),
+        warnings=(*warnings_of(results, options, model), *together, *said),
         correlations=correlations,
         objective=best.objective,
         population=best.population,

@@ -368,7 +368,7 @@ class _Runner:
             known.write(self.directory)
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
             result.left += said_of_splines(self.context, self.parameters, position.best, names)
-            result.left += said_of_past(self.context, self.parameters, position.best, names)
+            result.left += said_of_past(self.context, self.parameters, position.best, names, result.channels)
             if self.context.model.events:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)

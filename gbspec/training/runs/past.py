@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -10,9 +10,11 @@ from scipy.stats import f as variance_ratio
 
 from gbspec.arrays import Array
 from gbspec.ir import Model
+from gbspec.runs import ChannelRecord
 from gbspec.training.engines import lags, residual_table
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, step_fraction
+from gbspec.training.runs.verdict import not_followed
 
 CLEARLY = 2.0
 """Residuals within the first delay are this many times as large as later ones, and"""
@@ -22,11 +24,17 @@ FEWEST = 3
 """So many residuals within and after the first delay are compared."""
 
 
-def said_of_past(context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]) -> list[str]:
+def said_of_past(
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    stages: Sequence[str],
+    channels: Mapping[str, ChannelRecord],
+) -> list[str]:
     """A sentence for each channel of which whole solutions are far from the data within the first delay.
 
     Without `history` a state was before the start what it is there; data recorded from the middle of a course say
-    otherwise, for as long as that past is seen.
+    otherwise, for as long as that past is seen. Nothing is said of `channels` that solutions do not follow anywhere.
     """
     taken = _taken_as_constant(context.model)
     if not taken:
@@ -39,6 +47,8 @@ def said_of_past(context: Context, parameters: Parameters, theta: Array, stages:
     within = packed.row_time - begins[packed.row_trajectory] <= longest[packed.row_trajectory]
     out = []
     for i, channel in enumerate(context.model.channels):
+        if not_followed(channels.get(channel.name)):
+            continue
         seen = problem.valued[:, i]
         ratio = _ratio(residuals[seen & within, i], residuals[seen & ~within, i])
         if ratio is not None:

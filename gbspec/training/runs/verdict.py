@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import ChannelRecord, LikelihoodRecord
 from gbspec.training.problem import share_that_counts
+
+if TYPE_CHECKING:
+    from gbspec.training.runs.summary import MemberResult
 
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
@@ -59,6 +63,21 @@ def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) 
     return out
 
 
+def not_followed(found: ChannelRecord | None) -> bool:
+    """Whether whole solutions follow a channel less well than the best naive predictor: what their residuals look like
+    says nothing of the data then."""
+    return found is not None and found.naive is not None and (found.r2 is None or found.r2 < found.naive)
+
+
+def lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
+    """The members of which whole solutions follow no channel better than the best naive predictor."""
+    return frozenset(
+        member
+        for member, result in results.items()
+        if result.channels and all(not_followed(found) for found in result.channels.values())
+    )
+
+
 def above_stated(noise: Mapping[str, float], model: Model) -> list[str]:
     """A warning for each channel whose residuals, of the standard deviation `noise`, are no stated noise.
 
@@ -83,7 +102,7 @@ def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: M
     out = []
     for channel in model.channels if model is not None and not model.marginal else ():
         found = channels.get(channel.name)
-        if found is None or not found.outliers or found.r2 is None or 1 - found.r2 <= EXACT:
+        if found is None or not found.outliers or found.r2 is None or 1 - found.r2 <= EXACT or not_followed(found):
             continue
         name, start = channel.name, _rounded(0.3 * rmse.get(channel.name, math.nan))
         # Not offered together with events and delays.
