@@ -38,7 +38,7 @@ def line(update: Update) -> str:
     if update.remark:
         parts.append(update.remark)
     if update.seconds_left is not None:
-        parts.append(f"at most {clock(update.seconds_left)} left")
+        parts.append(f"about {clock(update.seconds_left)} left")
     return f"[{update.member}] " + ", ".join(parts)
 
 
@@ -85,7 +85,7 @@ class _Rows:
 
     def header(self) -> list[str]:
         """The headings of the columns of `rows`; the constants are those of the members so far."""
-        return ["member", "stage", "iteration", "loss", *self._names(), "left, at most"]
+        return ["member", "stage", "iteration", "loss", *self._names(), "left, about"]
 
     def rows(self) -> list[list[str]]:
         """A row of texts for each member."""

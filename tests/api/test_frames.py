@@ -320,7 +320,7 @@ def test_progress_in_a_notebook_is_a_table_that_is_redrawn() -> None:
     notebook.drawn = 0.0
     notebook.update(UPDATE)
     assert "<td>warm start</td>" in drawn[-1]
-    assert "left, at most" in drawn[-1]
+    assert "left, about" in drawn[-1]
     assert "2 min 05 s" in drawn[-1]
 
 
@@ -330,7 +330,7 @@ def test_where_progress_is_shown(capsys: pytest.CaptureFixture[str], monkeypatch
     with progress_of(True) as shown:
         assert isinstance(shown, Lines)
         shown.update(UPDATE)
-    assert "at most 2 min 05 s left" in capsys.readouterr().err
+    assert "about 2 min 05 s left" in capsys.readouterr().err
     handles: list[object] = []
     shell = types.SimpleNamespace(kernel=object())
     monkeypatch.setitem(__import__("sys").modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell))

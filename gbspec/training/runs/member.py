@@ -36,6 +36,7 @@ from gbspec.training.recipe import (
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
+from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import EDITION, Position, checkpoint, restored
@@ -316,13 +317,10 @@ class _Runner:
     def _shared_names(self) -> list[str]:
         return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
 
-    def _seconds_left(self, stage: Stage, stage_seconds: float) -> float:
-        """The estimated time left, at this stage's pace for all further iterations: an upper estimate, since stages may
-        converge earlier."""
-        position = self.position
-        pace = stage_seconds / max(position.iteration, 1)
+    def _seconds_left(self, stage: Stage, stage_seconds: float) -> float | None:
+        position, totals = self.position, {planned.name.value: planned.total for planned in self.plan}
         later = sum(p.total for p in self.plan[position.stage + 1 :] if p.name not in MAYBE)
-        return pace * (max(stage.total - position.iteration, 0) + later)
+        return seconds_left(position.stages[:-1], totals, stage_seconds, position.iteration, stage.total, later)
 
     # ---------------------------------------------------------------- files
     def _result(self) -> MemberResult:
