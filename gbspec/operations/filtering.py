@@ -52,7 +52,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         values = np.concatenate([item.values[rows], np.full((len(mean), len(hidden)), np.nan)], axis=1)
         used = _uses(np.isfinite(item.values[rows]), window)
         first = one.states[0] if len(one.states) else np.full(len(model.states), np.nan)
-        start = Start(first, run.member(run.best).weights["constants"], "estimated")
+        start = Start(first, run.member(run.best).weights["constants"], "smoothed" if window is None else "estimated")
         lost = ~np.isfinite(mean).all(axis=1)
         items.append(
             PredictedTrajectory(

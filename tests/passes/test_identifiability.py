@@ -123,6 +123,10 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
         "state x\nstate c\nlearn k = 1\nunknown f(c) equals 2 at c = 5\nx' = f + k\nc' = -c\n"
         "initial c = 0\nobserve x\ndose c\n", 0, set(), set(),
     ),
+    "a zero before the first dose from a known start at a known time": (
+        "time t from 0\nstate x\nstate c\nlearn k = 1\nunknown f(c) zero at c = 0\nx' = f + k\nc' = -c\n"
+        "initial x = 1\ninitial c = 0\nobserve x\ndose c\n", 0, set(), set(),
+    ),
     "branches": (
         "state x\nlearn a = 1\nlearn b = 1\nx' = if(x > 0.1, -a*b*x, 1)\nobserve x\n", 1, {"a", "b"}, set()
     ),

@@ -12,6 +12,8 @@ from scipy.integrate import solve_ivp
 from gbspec.arrays import Array
 from gbspec.backends import load_module
 from gbspec.data import Trajectories
+from gbspec.diagnostics import Findings
+from gbspec.passes import with_contracts
 from gbspec.training import TrainOptions, train
 from gbspec.training.recipe import build_context, prepare
 from gbspec.training.starts import eliminate, unseen_outputs
@@ -86,3 +88,25 @@ def test_what_slopes_show_needs_no_draws(balance: str, unseen: bool) -> None:
     context = build_context(model, load_module(model), data, TrainOptions(), 0)
     found = eliminate(model, context.module, context.points, np.zeros(1))
     assert unseen_outputs(model, found)["f"].tolist() == [unseen]
+
+
+def test_coefficients_gates_and_postulates_have_no_drawn_size() -> None:
+    """What contracts and splines add to a network is no guess by ranges, nor is the neutral value of a postulate."""
+    text = """model m
+state x in [0, 2]
+state y in [0, 2]
+learn k = 1
+unknown f(y in [0, 2]) by spline(6)
+unknown g(y) zero at y = 0, increasing in y by mlp(4)
+unknown h(y) = 2*nn by mlp(4)
+x' = k*y - x
+y' = f(y) - g(y) - h(y)*y
+observe x
+"""
+    model = with_contracts(model_of(text), Findings())
+    t = np.linspace(0, 5, 30)
+    data = Trajectories((trajectory("1", 0.0, t, np.exp(-t)[:, None], []),), ("x",))
+    context = build_context(model, load_module(model), data, TrainOptions(), 0)
+    found = unseen_outputs(model, eliminate(model, context.module, context.points, np.zeros(1)))
+    assert not found["f"].any() and not found["h"].any()
+    assert not found["g"][1:].any()

@@ -179,9 +179,7 @@ class Forecast(Tabled):
             )
         for origin, words in ORIGINS.items():
             of_it = [item for item in self.items if item.start.origin == origin]
-            if origin == "estimated" and of_it and all(use == "window" for item in of_it for use in item.used):
-                lines.append(f"{_count(len(of_it))}: {SMOOTHED}")
-            elif of_it:
+            if of_it:
                 what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
                 lines.append(f"{_count(len(of_it))}: {words}" + (f" ({what})" if what else ""))
         lines += [f"warning: {warning}" for warning in self.warnings]
@@ -192,11 +190,9 @@ ORIGINS = {
     "learned": "part of the training data: predicted from the learned initial state",
     "known": "the initial state is given by the first row and the model",
     "estimated": "what is unknown of them was estimated from the first rows, with all shared parameters held fixed",
+    "smoothed": "shown by all of their measurements; `--window N` predicts the rows after the first N from these",
     "failed": "no initial state was found from which it can be solved",
 }
-
-
-SMOOTHED = "shown by all of their measurements; `--window N` predicts the rows after the first N from these"
 
 
 def _count(number: int) -> str:

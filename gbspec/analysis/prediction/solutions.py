@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from gbspec.ir import Model
     from gbspec.runs import DataRecord
 
-Origin = Literal["learned", "known", "estimated", "failed"]
+Origin = Literal["learned", "known", "estimated", "smoothed", "failed"]
 """The origin of an initial state: learned in training; known (given by the model, or measured in the first row);
-estimated from the trajectory's own data; or failed, if none was found."""
+estimated from the trajectory's own data; smoothed by all of them (disturbances); or failed, if none was found."""
 
 RTOL = 1e-8
 IN_LOGARITHMS = 1e-6

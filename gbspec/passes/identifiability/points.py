@@ -285,7 +285,8 @@ def _agreeing(
                 table[state.symbol] = Evaluation(algebra, table, 1)(start)
         before = Evaluation(algebra, dict(table), 1)
         for dose in question.doses:
-            table[question.model.states[dose.state].symbol] += before(dose.fraction * dose.amount)
+            dosed = question.model.states[dose.state].symbol
+            table[dosed] = table[dosed] + before(dose.fraction * dose.amount)
         evaluation = Evaluation(algebra, table, 1)
         found = [float(evaluation(e)[0, 0]) for e in expressions]
         half = len(found) // 2
@@ -294,7 +295,7 @@ def _agreeing(
     try:
         for _ in range(20):
             here = gap(point)
-            if np.max(np.abs(here)) < 1e-13 * max(1.0, float(np.max(np.abs(point)))):
+            if np.max(np.abs(here)) < 1e-13 * max(1.0, float(np.max(np.abs(point), initial=0.0))):
                 variables = {**generic.variables, **dict(zip(names, map(float, point), strict=True))}
                 return Base(variables, generic.constants, generic.widths, generic.question, True, generic.tempo)
             if not names:

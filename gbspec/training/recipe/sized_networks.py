@@ -38,25 +38,26 @@ def sized_networks(
 ) -> tuple[Parameters, Array]:
     """The layout with the best drawn sizes of the `unseen` outputs of networks, and the vector with the best drawn
     constants; both as they were if no draw has a solution."""
-    if _loss(context, parameters, theta) <= FOLLOWED * int(context.problem().seen.sum()):
-        return parameters, theta
+    first = _loss(context, parameters, theta)
     places = [(name, i) for name, mask in unseen.items() for i in np.flatnonzero(mask).tolist()]
+    if not places or first <= FOLLOWED * int(context.problem().seen.sum()):
+        return parameters, theta
     learnables, substeps = context.model.learnables, max(int(context.packed().steps.sum()), 1)
     work = WORK / (1 if context.choice.kernel is not None else SLOWER)
     count = int(np.clip(work / substeps, FEWEST, DRAWS))
     shares = sobol(count, len(places) + len(learnables), context.seed)
     drawn = spread_over_ranges(learnables, shares[:, len(places) :])
-    found = []
+    found = [(first, parameters, theta)]
+    declared = 1 + count // 2  # so many have the given constants; by parity, both halves would not fill the ranges
     for i in range(count):
-        factors = 10 ** (LOW + (HIGH - LOW) * shares[i, : len(places)]) if i else np.ones(len(places))
-        layout = _resized(parameters, places, factors)
-        vector = theta if i % 2 == 0 else parameters.vector(parameters.natural(theta), drawn[i])
+        layout = _resized(parameters, places, 10 ** (LOW + (HIGH - LOW) * shares[i, : len(places)]))
+        vector = theta if i + 1 < declared else parameters.vector(parameters.natural(theta), drawn[i])
         found.append((_loss(context, layout, vector), layout, vector))
     losses = np.array([loss for loss, _, _ in found])
     if not np.isfinite(losses).any():
         return parameters, theta
-    declared, best = 2 * int(np.argmin(losses[::2])), int(np.argmin(losses))
-    _, layout, vector = found[best if losses[best] < CLEARLY * losses[declared] else declared]
+    given, best = int(np.argmin(losses[:declared])), int(np.argmin(losses))
+    _, layout, vector = found[best if losses[best] < CLEARLY * losses[given] else given]
     return layout, vector
 
 

@@ -51,10 +51,10 @@ class ThresholdSearch(Search):
         self.options, self.iterations, self.random = options, ITERATIONS, random
 
     def _candidates(self, theta: Array) -> Array:
-        """Every other draw with other weights: those of the warm start may be in a wrong minimum."""
+        """Half of the draws with other weights: those of the warm start may be in a wrong minimum."""
         out = super()._candidates(theta)
         n = self.parameters.n_weights
-        for i in range(3, len(out), 2):
+        for i in range(2 + (len(out) - 2) // 2, len(out)):
             out[i, :n] = self.random(theta, i)[:n]
         return out
 

@@ -62,7 +62,7 @@ def _partition(t: Array, y: Array) -> Integers:
     count = len(t)
     if count < 3:
         return np.zeros(0, dtype=np.int64)
-    sums = _Sums.of((t - t[0]) / (t[-1] - t[0]), y)
+    sums = _Sums.of((t - t[0]) / (t[-1] - t[0]), y - np.nanmean(y, axis=0))
     penalty = (2 * y.shape[1] + 1) * np.log(max(np.isfinite(y).sum(), 2))
     best, before = np.full(count + 1, np.inf), np.zeros(count + 1, dtype=np.int64)
     best[0] = -penalty

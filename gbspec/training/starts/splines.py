@@ -70,18 +70,22 @@ def fit_curves(model: Model, trajectories: Trajectories, kind: CurveKind = "inte
     """
     values = _measured(model, trajectories)
     between = gaps(model, trajectories, values) if kind == "pieces" else [np.zeros((0, 2))] * len(values)
-    items = []
+    items, without = [], []
     for item, states, gap in zip(trajectories.items, values, between, strict=True):
         row: list[StateCurve | None] = []
+        blank = [gap]
         for state in range(len(model.states)):
             seen = np.isfinite(states[:, state])
             t, y = item.times[seen], states[seen, state]
             if kind == "pieces":
-                row.append(_in_pieces(t, y, gap.mean(axis=1)))
+                curve, more = _in_pieces(t, y, gap)
+                row.append(curve)
+                blank.append(more)
             else:
                 row.append(curve_of(t, y, smoothed(t, y) if kind == "smooth" else None))
         items.append(tuple(row))
-    return Curves(tuple(items), tuple(between))
+        without.append(np.concatenate(blank))
+    return Curves(tuple(items), tuple(without))
 
 
 def curve_kinds(model: Model, curves: Curves) -> tuple[CurveKind, ...]:
@@ -105,39 +109,48 @@ def _measured(model: Model, trajectories: Trajectories) -> list[Array]:
     return out
 
 
+LONG = 40
+"""Rows of a piece from which it is a smoothing spline; shorter ones are lines up to noise, and have a parabola."""
+
+
 @dataclass(frozen=True)
 class Pieces:
-    """One smooth curve after another: the `n`-th one up to the time `ends[n]`."""
+    """One curve after another, the `n`-th one up to the time `ends[n]`; beyond its rows, `spans` [n, 2], as there."""
 
     curves: tuple[Curve, ...]
     ends: Array
+    spans: Array
 
     def __call__(self, t: Array) -> Array:
         """The values at times `t`."""
         which, out = np.searchsorted(self.ends, t), np.zeros(np.shape(t))
         for i in np.unique(which):
-            out[which == i] = self.curves[i](t[which == i])
+            here = which == i
+            out[here] = self.curves[i](np.clip(t[here], *self.spans[i]))
         return out
 
 
-def _in_pieces(t: Array, y: Array, ends: Array) -> StateCurve | None:
-    """The curve in pieces that end at these times; None with fewer than two points."""
+def _in_pieces(t: Array, y: Array, gaps: Array) -> tuple[StateCurve | None, Array]:
+    """The curve in pieces with `gaps` [G, 2] between them (None: fewer than two points), and further times [H, 2] at
+    which it has no slope: around single rows, and where it was not measured from one gap to another."""
     if len(t) < 2:
-        return None
-    which, values, slopes, kept = np.searchsorted(ends, t), [], [], []
-    for i in np.unique(which):
-        value, slope = _piece(t[which == i], y[which == i])
-        values.append(value)
-        slopes.append(slope)
-        kept.append(ends[i] if i < len(ends) else np.inf)
-    until = np.array(kept[:-1])
+        return None, np.zeros((0, 2))
+    ends = gaps.mean(axis=1)
+    which = np.searchsorted(ends, t)
+    found = np.unique(which).tolist()
+    pieces = [_piece(t[which == i], y[which == i]) for i in found]
+    until = np.array([ends[i] for i in found[:-1]])
+    spans = np.array([t[which == i][[0, -1]] for i in found])
+    value, slope = (Pieces(tuple(piece[k] for piece in pieces), until, spans) for k in (0, 1))
+    edges = np.concatenate([[-np.inf], ends, [np.inf]])
+    few = np.bincount(which, minlength=len(ends) + 1) < 2
     low, high, bottom, top = float(t[0]), float(t[-1]), float(y.min()), float(y.max())
-    return StateCurve(Pieces(tuple(values), until), Pieces(tuple(slopes), until), low, high, bottom, top)
+    return StateCurve(value, slope, low, high, bottom, top), np.stack([edges[:-1], edges[1:]], axis=1)[few]
 
 
 def _piece(t: Array, y: Array) -> tuple[Curve, Curve]:
     """A smooth curve of a few points, and its slope: a spline, or a parabola, a line or a constant."""
-    smooth = smoothed(t, y)
+    smooth = smoothed(t, y) if len(t) >= LONG else None
     if smooth is not None:
         return smooth, smooth.derivative()
     polynomial = np.polynomial.Polynomial.fit(t, y, min(len(t) // 2, 2)) if len(t) > 1 else np.polynomial.Polynomial(y)

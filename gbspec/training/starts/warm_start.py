@@ -278,8 +278,15 @@ def _eliminated_step(
 
 
 def unseen_outputs(model: Model, eliminated: Eliminated) -> dict[str, Mask]:
-    """For each network the outputs [n_outputs] that are in no balance of a state with a curve."""
-    out = {network.name: np.ones(network.sizes[-1], dtype=np.bool_) for network in model.networks}
+    """For each network the outputs [n_outputs] that are in no balance of a state with a curve, and of which nothing
+    else tells the size: not those with a postulate, nor the coefficients and gates of splines and contracts."""
+    plain = {(u.network, u.output) for u in model.unknowns if u.postulate == NN}
+    out = {
+        network.name: np.array(
+            [(i, k) in plain and not network.spline for k in range(network.sizes[-1])], dtype=np.bool_
+        )
+        for i, network in enumerate(model.networks)
+    }
     position = 0
     for which, known in eliminated.arguments:
         width, each = len(model.networks[which].outputs), known.shape[1]
