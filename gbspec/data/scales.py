@@ -50,17 +50,20 @@ class Scales:
         """The weight [C] of a squared error of each channel, in units of the variance of its data."""
         return np.asarray((self.deviation / self.channel) ** 2, dtype=np.float64)
 
-    def of_rows(self, sd: Array, values: Array) -> Array:
-        """The scales [R, C] of entries with the standard deviations `sd` [R, C] (NaN: none of its own), in the unit of
-        their `values`; a value of zero has no standard deviation of its logarithm, and the channel's scale."""
+    def of_rows(self, sd: Array, values: Array, counts: Array) -> Array:
+        """The scales [R, C] of single measurements of entries that average `counts` [R, C] of them and have the
+        standard deviations `sd` [R, C] (NaN: none of its own), in the unit of their `values`; a value of zero has no
+        standard deviation of its logarithm, and the channel's scale."""
         relative = np.divide(sd, np.abs(values), out=np.full_like(sd, np.nan), where=np.abs(values) > 0)
-        found = np.where(self.log, relative, sd)
+        # That of an average is smaller by the root of their number, which `weights` has already.
+        found = np.where(self.log, relative, sd) * np.sqrt(np.maximum(counts, 1.0))
         own = np.isfinite(found) & (found > 0)
         return np.where(own, np.where(own, found, 1.0) / self.level, self.channel)
 
     def factor(self, item: Trajectory) -> Array:
         """w / s [R, C] of a trajectory's measurements; 0 where nothing was measured."""
-        return np.asarray(weights(item.values, item.counts) / self.of_rows(item.sd, item.values), dtype=np.float64)
+        scales = self.of_rows(item.sd, item.values, item.counts)
+        return np.asarray(weights(item.values, item.counts) / scales, dtype=np.float64)
 
 
 def weights(values: Array, counts: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,8 +65,20 @@ def test_an_entry_with_its_own_standard_deviation_has_its_own_scale() -> None:
     scales = scales_of(three(), data)
     level = 0.35 / spread()[0]
     assert scales.channel == pytest.approx([0.35 / level, *spread()[1:]])
-    assert scales.of_rows(sd, VALUES)[:, 0] == pytest.approx([0.5 / level, 0.2 / level, 0.35 / level])
-    assert scales.of_rows(sd, VALUES)[:, 1:] == pytest.approx(np.tile(spread()[1:], (3, 1)))
+    assert scales.of_rows(sd, VALUES, np.ones(VALUES.shape))[:, 0] == pytest.approx(
+        [0.5 / level, 0.2 / level, 0.35 / level]
+    )
+    assert scales.of_rows(sd, VALUES, np.ones(VALUES.shape))[:, 1:] == pytest.approx(np.tile(spread()[1:], (3, 1)))
+
+
+def test_an_average_with_its_own_standard_deviation_counts_as_its_measurements_do() -> None:
+    """Of four values with 0.2 each the average has 0.1: it counts as four values, not as sixteen."""
+    sd, counts = np.full(VALUES.shape, np.nan), np.ones(VALUES.shape)
+    sd[:, 0], counts[0, 0] = [0.1, 0.2, 0.2], 4
+    data = table(sd)
+    (item,) = data.items
+    factor = scales_of(three(), data).factor(replace(item, counts=counts))[:, 0]
+    assert factor[0] / factor[1] == pytest.approx(2.0)
 
 
 def test_a_standard_deviation_is_in_the_unit_of_its_value_also_where_logarithms_are_fitted() -> None:
@@ -72,11 +86,11 @@ def test_a_standard_deviation_is_in_the_unit_of_its_value_also_where_logarithms_
     sd[1:, 2] = [1.0, 6.0]
     values = VALUES.copy()
     scales = scales_of(three("", "", " noise lognormal(0.5)"), table(sd))
-    found = scales.of_rows(sd, values)
+    found = scales.of_rows(sd, values, np.ones(values.shape))
     assert found[1:, 2] * scales.level == pytest.approx([1.0 / 10.0, 6.0 / 30.0])
     assert found[0, 2] == scales.channel[2], "no standard deviation of its own"
     values[1, 2] = 0.0
-    assert scales.of_rows(sd, values)[1, 2] == scales.channel[2], "zero has no logarithm"
+    assert scales.of_rows(sd, values, np.ones(values.shape))[1, 2] == scales.channel[2], "zero has no logarithm"
 
 
 def test_channels_of_a_unit_share_a_scale_where_all_functions_are_known() -> None:

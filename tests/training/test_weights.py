@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from gbspec.backends import load_module
-from gbspec.data import Estimated, Trajectories, scales_of, unstated
+from gbspec.data import Estimated, Trajectories, read, scales_of, unstated
+from gbspec.diagnostics import Findings
 from gbspec.report import run_summary
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
@@ -138,3 +139,12 @@ def test_weights_are_introduced_where_noises_differ_beyond_chance(rows: int, rat
     context = build_context(model, load_module(model), data, TrainOptions(backend="torch"), 0)
     noise = context.problem().scaling.channel * np.array([1.0, ratio])
     assert unsettled(context, Estimated(0.05 * noise, np.ones(2))) == expected
+
+
+def test_replicates_with_standard_deviations_count_as_single_values(tmp_path: Path) -> None:
+    """Four values 1 and a value 2, all with 0.2: the mean is 1.2 (the average counted sixteen times before: 1.06)."""
+    lines = ["trajectory,t,name,value,sd", *["1,1,x,1,0.2"] * 4, "1,2,x,2,0.2"]
+    (tmp_path / "d.csv").write_text("\n".join(lines))
+    model = model_of("model m\ntime t from 0\nstate x\nlearn a = 0.5 in [-5, 5]\nx' = 0*a\ninitial x = a\nobserve x\n")
+    run = train(model, read(tmp_path / "d.csv", model, Findings()), TrainOptions(workers=1), tmp_path / "run")
+    assert run.fit.constants["a"].value == pytest.approx(1.2, abs=1e-6)

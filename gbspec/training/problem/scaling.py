@@ -35,4 +35,5 @@ def scaling_of(model: Model, packed: Packed, trajectories: Trajectories, estimat
     scales = scales_of(model, trajectories, estimated)
     share = None if estimated is None or (estimated.share == 1).all() else estimated.share
     values = np.where(packed.limits.side == 0, packed.values, packed.limits.value)
-    return Scaling(scales.log, scales.of_rows(packed.sd, values), scales.channel, scales.noise, share, scales.levels)
+    rows = scales.of_rows(packed.sd, values, packed.weights**2)
+    return Scaling(scales.log, rows, scales.channel, scales.noise, share, scales.levels)
