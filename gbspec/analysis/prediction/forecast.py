@@ -44,8 +44,8 @@ Use = Literal["training", "window", "predicted"]
 """The use of a row: in training, in the estimation of the initial state, or none."""
 
 NUDGE = 1e-3
-"""The step of the finite differences that propagate the uncertainty of an estimated initial value, in units of its
-prior standard deviation."""
+"""The step of the finite differences that propagate the uncertainty of an initial value or constant, in units of its
+standard deviation: the prior one, or that of the measurement."""
 
 
 @dataclass(frozen=True)

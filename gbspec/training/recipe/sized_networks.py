@@ -14,10 +14,9 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.data import sobol, spread_over_ranges
-from gbspec.training.engines import residual_vector
-from gbspec.training.optimise import Priors, huber
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe.context import Context
+from gbspec.training.starts import robust_loss
 
 DRAWS, FEWEST = 256, 16
 """So many draws are compared, and at least so many with many data."""
@@ -38,7 +37,7 @@ def sized_networks(
 ) -> tuple[Parameters, Array]:
     """The layout with the best drawn sizes of the `unseen` outputs of networks, and the vector with the best drawn
     constants; both as they were if no draw has a solution."""
-    first = _loss(context, parameters, theta)
+    first = robust_loss(context.engine(parameters, 0.0), theta)
     places = [(name, i) for name, mask in unseen.items() for i in np.flatnonzero(mask).tolist()]
     if not places or first <= FOLLOWED * int(context.problem().seen.sum()):
         return parameters, theta
@@ -52,7 +51,7 @@ def sized_networks(
     for i in range(count):
         layout = _resized(parameters, places, 10 ** (LOW + (HIGH - LOW) * shares[i, : len(places)]))
         vector = theta if i + 1 < declared else parameters.vector(parameters.natural(theta), drawn[i])
-        found.append((_loss(context, layout, vector), layout, vector))
+        found.append((robust_loss(context.engine(layout, 0.0), vector), layout, vector))
     losses = np.array([loss for loss, _, _ in found])
     if not np.isfinite(losses).any():
         return parameters, theta
@@ -69,12 +68,3 @@ def _resized(parameters: Parameters, places: list[tuple[str, int]], factors: Arr
         scale[i] = factor * max(scale[i], abs(center[i]))
         center[i] *= factor
     return replace(parameters, fixed=fixed)
-
-
-def _loss(context: Context, parameters: Parameters, theta: Array) -> float:
-    """Huber's loss of whole solutions, with the priors."""
-    engine = context.engine(parameters, 0.0)
-    residuals = residual_vector(engine, theta)
-    if not np.isfinite(residuals).all():
-        return float("inf")
-    return huber(residuals, 1.0) + Priors.of(engine.problem, parameters, residuals).penalty(theta)

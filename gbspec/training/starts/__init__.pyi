@@ -8,6 +8,7 @@ from .search import WITH_STARTS as WITH_STARTS
 from .search import Patience as Patience
 from .search import Search as Search
 from .search import followed as followed
+from .search import robust_loss as robust_loss
 from .sizes import sized_starts as sized_starts
 from .sizes import unsized as unsized
 from .slopes import Points as Points

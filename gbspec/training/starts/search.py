@@ -105,6 +105,20 @@ def followed(residuals: Array, problem: Problem) -> bool:
     return correlation is not None and correlation > FOLLOWING + 2 / math.sqrt(pairs)
 
 
+def robust_loss(engine: Engine, theta: Array) -> float:
+    """Huber's loss with the priors, by which draws are compared: far from any minimum, few residuals must not decide.
+    Infinite without a solution."""
+    residuals = residual_vector(engine, theta)
+    return huber(residuals, 1.0) + _penalty(engine, theta, residuals)
+
+
+def _penalty(engine: Engine, theta: Array, residuals: Array) -> float:
+    """The contribution of the priors to half the sum of squares."""
+    if not np.isfinite(residuals).all():
+        return 0.0
+    return Priors.of(engine.problem, engine.parameters, residuals).penalty(theta)
+
+
 class Search:
     """One start in each step: the given vector, the declared starting values, then the draws from the best one on.
 
@@ -165,7 +179,7 @@ class Search:
     def losses(self, theta: Array) -> tuple[Array, Array]:
         """The points from which the search starts [n, size], and their losses; not finite without a solution."""
         candidates = self._candidates(theta)
-        return candidates, np.array([self._loss(candidate) for candidate in candidates])
+        return candidates, np.array([robust_loss(self.engine, candidate) for candidate in candidates])
 
     def _order(self, losses: Array) -> list[int]:
         """The order of the starts: the first two, and the draws from the best one on.
@@ -286,22 +300,9 @@ class Search:
         return ComputationError(what, where=cause.where, remedy=cause.remedy)
 
     # ---------------------------------------------------------------- objective
-    def _loss(self, theta: Array) -> float:
-        """Huber's loss, by which draws are compared: far from any minimum, few residuals must not decide."""
-        residuals = residual_vector(self.engine, theta)
-        return huber(residuals, 1.0) + self._penalty(theta, residuals)
-
     def _objective(self, theta: Array) -> float:
         residuals = residual_vector(self.engine, theta)
-        return mean_loss(residuals) + self._penalty(theta, residuals) / max(len(residuals), 1)
-
-    def _penalty(self, theta: Array, residuals: Array) -> float:
-        """The contribution of the priors to half the sum of squares."""
-        return (
-            Priors.of(self.engine.problem, self.parameters, residuals).penalty(theta)
-            if np.isfinite(residuals).all()
-            else 0.0
-        )
+        return mean_loss(residuals) + _penalty(self.engine, theta, residuals) / max(len(residuals), 1)
 
     # ---------------------------------------------------------------- improvement
     def _improve(self, theta: Array, place: int) -> tuple[float, Array]:
