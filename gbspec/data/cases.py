@@ -192,7 +192,7 @@ class _Reader:
 
     def training(self, entry: JsonObject, base: TrainingDefaults) -> TrainingDefaults:
         """The options of `[training]`; keys that are not fields are kept, to be checked by the training."""
-        own = {field.name for field in dataclasses.fields(TrainingDefaults)} - {"more"}
+        own = {option.name for option in dataclasses.fields(TrainingDefaults)} - {"more"}
         known = {key: value for key, value in entry.items() if key.replace("-", "_") in own}
         more = {key.replace("-", "_"): value for key, value in entry.items() if key not in known}
         for key, value in more.items():

@@ -18,7 +18,7 @@ def right_sides(model: Model) -> tuple[Expr, ...]:
 def used_by_balances(model: Model) -> list[set[sympy.Symbol]]:
     """The symbols that each balance depends on, those of the equations included where it has algebraic variables."""
     left = model.inlined([equation.residual for equation in model.constraints])
-    through = {symbol for residual in left for symbol in residual.free_symbols}
+    through = {free for residual in left for free in residual.free_symbols}
     solved = {item.symbol for item in model.algebraics}
     used = [set(balance.free_symbols) for balance in model.inlined(model.balances)]
     return [symbols | through if symbols & solved else symbols for symbols in used]

@@ -115,10 +115,10 @@ def _statements() -> list[Pattern]:
     several = rf"{_NAME}(?:\s*,\s*{_NAME})*"
     following = {"entity.name.function.gb": several, "constant.other.code.gb": r"GB\d+"}
     return [
-        _match(rf"^({_any(words)})\s+({following.get(scope, _NAME)})", "", _KEYWORD, scope)
+        _match(rf"^({_any(spelled)})\s+({following.get(scope, _NAME)})", "", _KEYWORD, scope)
         if scope
-        else _match(rf'^({_any(words)})\s+(?={_NAME}|")', "", _KEYWORD)
-        for scope, words in by_scope.items()
+        else _match(rf'^({_any(spelled)})\s+(?={_NAME}|")', "", _KEYWORD)
+        for scope, spelled in by_scope.items()
     ]
 
 

@@ -87,7 +87,7 @@ class CrossValidation(Tabled):
         """The errors of each fold and channel, in the channel's unit; those of all folds together have no `fold`."""
         parts: list[tuple[int | None, Mapping[str, Errors]]] = [*self.folds.items(), (None, self.total)]
         return of_rows(
-            {"fold": fold, "channel": name, **one.to_json()} for fold, errors in parts for name, one in errors.items()
+            {"fold": fold, "channel": name, **one.to_json()} for fold, part in parts for name, one in part.items()
         )
 
     def summary(self) -> str:

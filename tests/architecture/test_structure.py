@@ -219,3 +219,22 @@ def test_doors_offer_what_there_is() -> None:
             else:
                 assert f"{package}.{name}" not in trees(), f"{package} offers {name} and has a module of that name"
                 assert offered is getattr(whole, name)
+
+
+def test_no_variable_of_a_comprehension_hides_a_name_of_its_module() -> None:
+    """Python 3.12 takes such a name, used again in the same function, for an unbound local variable."""
+    found = set()
+    for module, (_, tree) in trees().items():
+        names = {alias.asname or alias.name for node in tree.body for alias in getattr(node, "names", ())}
+        names |= {node.name for node in tree.body if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+        for function in ast.walk(tree):
+            if isinstance(function, ast.FunctionDef):
+                bound = {
+                    part.id
+                    for node in ast.walk(function)
+                    if isinstance(node, ast.comprehension)
+                    for part in ast.walk(node.target)
+                    if isinstance(part, ast.Name)
+                }
+                found |= {f"{module}.{function.name}: {name}" for name in bound & names}
+    compare("comprehensions whose variable hides a name of the module", found, set())

@@ -92,7 +92,7 @@ class _System:
         if model.arrays:
             vectors = Vectors(model)
             definitions = [*vectors.definitions, *vectors.entries(outputs)]
-        used = {symbol for output in outputs for symbol in output.value.free_symbols}
+        used = {free for output in outputs for free in output.value.free_symbols}
         wanted = [names[symbol(item)] if symbol(item) in used else "_" for item in self._names]
         lines = [f"{left_side(wanted)} = solved"]
         lines += body_of(model, outputs, names, definitions=definitions, solved=False)

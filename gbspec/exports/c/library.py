@@ -123,7 +123,7 @@ class Library:
         text = "\n".join(body)
         text = self._sized(text)
         opening = [*self._opening(), f'#include "{self.prefix}.h"', "", "#include <math.h>", "#include <stddef.h>", ""]
-        tables = [table for table in model.tables if f"{table_function(table.curve)}(" in text]
+        tables = [given for given in model.tables if f"{table_function(given.curve)}(" in text]
         return "\n".join([*opening, *helpers(text), *table_functions(tables), "", text, ""])
 
     def _texts(self, name: str) -> list[str]:

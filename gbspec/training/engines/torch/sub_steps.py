@@ -100,7 +100,7 @@ class Deliveries:
 
         The displacements added to the ends are zero; they carry the derivatives.
         """
-        begin, end = (self._move(cutting, step.t) for cutting in (arrivals.begin, arrivals.end))
+        begin, end = (self._move(edge, step.t) for edge in (arrivals.begin, arrivals.end))
         module = self.problem.module
         grid = module.equations.grid(torch_arithmetic(module), step.t + begin, step.h + (end - begin))
         if not step.nodes[0].shape[1]:
@@ -113,7 +113,7 @@ class Deliveries:
         """Start and length of a sub-step, with the derivatives of learned lags."""
         if step.arrivals is None:
             return step.t, step.h
-        begin, end = (self._move(cutting, step.t) for cutting in (step.arrivals.begin, step.arrivals.end))
+        begin, end = (self._move(edge, step.t) for edge in (step.arrivals.begin, step.arrivals.end))
         return step.t + begin, step.h + (end - begin)
 
     def _move(self, cutting: Integers, like: Tensor) -> Tensor:
