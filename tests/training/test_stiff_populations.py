@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +19,7 @@ from gbspec.ir import METHODS, Model
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Layout, Marginal, Predictions
-from gbspec.training.recipe import build_context
+from gbspec.training.recipe import build_context, chosen_solver, prepared
 from tests.training.test_populations import model_of
 
 BINDING = """model binding
@@ -214,3 +215,58 @@ def test_a_stiff_population_is_fitted_by_the_solver_that_auto_chooses(tmp_path: 
         constant = run.fit.constants[name]
         assert constant.sd is not None
         assert abs(constant.value - truth) < 3 * constant.sd < truth, (name, constant)
+
+
+QUICK_ABSORPTION = """model quick
+time t from 0
+state gut
+state body in [0, 12]
+learn ka = 6 in [0.5, 50] per trajectory ~ lognormal
+unknown r(body in [0, 12]) >= 0, zero at body = 0 by mlp(3)
+gut' = -ka*gut
+body' = ka*gut - r
+initial gut = 10
+initial body = 0
+observe body noise normal(0.2)
+"""
+"""Absorption at a rate of 6 with rows every 5: six times the stability limit of the default step of 1."""
+
+
+def absorbed(folder: Path) -> tuple[Model, Trajectories]:
+    rows = ["trajectory,t,body"]
+    rows += [f"{i},{t},{10 * np.exp(-0.1 * t) + 0.1 * (i - 2):.4f}" for i in range(5) for t in (5, 10, 15, 20)]
+    (folder / "data.csv").write_text("\n".join(rows) + "\n")
+    model = model_of(QUICK_ABSORPTION, folder)
+    return model, tables.read_data(folder / "data.csv", model, Findings())
+
+
+def test_a_population_with_a_network_takes_smaller_explicit_steps(tmp_path: Path) -> None:
+    model, data = absorbed(tmp_path)
+    module, options = load_module(model, METHODS["rk4"]), TrainOptions(solver="auto", backend="torch")
+    assert chosen_solver(model, module, data, options) == ("rk4", None)
+    ready = prepared(model, module, data, options, 0)
+    assert 6 * build_context(model, module, data, options, 0).max_step > 2.8
+    assert 0.7 <= 6 * ready.context.max_step <= 1.4
+    assert np.isfinite(ready.loss)
+    assert chosen_solver(model, module, data, replace(options, max_step=1.0))[0] == "ros34pw2"
+
+
+def test_second_derivatives_of_stiff_steps_need_no_recomputed_graph(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, data = absorbed(tmp_path)
+    options = TrainOptions(solver="ros34pw2", backend="torch")
+    context = build_context(model, load_module(model, METHODS["ros34pw2"]), data, options, 0)
+    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+    parameters = context.parameters(fixed)
+    layout = Layout(parameters)
+    made = Marginal(layout, Predictions(context.problem(0.0), parameters, context.choice, ("ka",)), 1)
+    theta = parameters.vector(context.module.weights)
+    u, weights = theta[layout.slice()], theta[: parameters.n_weights]
+    z = np.zeros((5, 1))
+    known = made.slopes(u, weights, z)
+    monkeypatch.setattr("gbspec.training.engines.torch.memory.FEW", 0)
+    monkeypatch.setattr("gbspec.training.engines.torch.memory.GRAPH_BYTES", 1)
+    found = made.slopes(u, weights, z)
+    assert np.array_equal(found.weights, known.weights)
+    assert np.array_equal(found.parameters, known.parameters)

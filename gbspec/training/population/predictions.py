@@ -322,7 +322,7 @@ class _Graph:
             path = self.engine.plan(theta)
         with forward_ad.dual_level():
             dual = forward_ad.make_dual(constants[self.index], self.tangent)  # type: ignore[no-untyped-call]  # torch does not annotate it
-            mean = self.engine.unroll(self._vector(dual, weights, unit, parameters), path).mean
+            mean = self.engine.unroll(self._vector(dual, weights, unit, parameters), path, whole=True).mean
             primal, tangent = forward_ad.unpack_dual(mean)  # type: ignore[no-untyped-call]  # torch does not annotate it
         tangent = torch.zeros_like(primal) if tangent is None else tangent
         return primal[self.row[:, 0], self.channel], tangent[self.row, self.channel[:, None]]

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.runs import Covariance
 from gbspec.training.population import student
 from gbspec.training.population.discrepancies import prediction_errors
 from gbspec.training.population.groups import Groups, alike
@@ -22,7 +23,7 @@ from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared
 from gbspec.training.population.objective import Objective, Point
 from gbspec.training.population.predictions import Measured
-from gbspec.training.population.uncertainty import of_parameters
+from gbspec.training.population.uncertainty import of_parameters, of_shared
 from gbspec.training.problem import Integers
 
 QUANTILE = 1.645
@@ -59,6 +60,7 @@ class PopulationResult:
     spreads, those of levels last, and their `shrinkage` [width]; `table` [m, ...] by name: the population's and the
     trajectory's own predictions, and residuals. `used` is the number of parameters, of weights the effective one.
     `exact` is -2 log L by Laplace's method with the exact inner Hessian, NaN where that is not positive definite.
+    `shared` is the covariance of weights and constants; None where it is not known.
     """
 
     point: Point
@@ -73,6 +75,7 @@ class PopulationResult:
     table: dict[str, Array]
     used: float
     exact: float
+    shared: Covariance | None
 
 
 def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: float) -> PopulationResult:
@@ -109,6 +112,7 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         _table(objective, point, of),
         used + len(point.u),
         objective.marginal.by_exact_hessian(point.u, weights, point.z),
+        of_shared(layout, point.u, covariance, ridge),
     )
 
 

@@ -1,4 +1,4 @@
-"""What the uncertainty of medians, spreads and noises adds to that of the constants of single trajectories.
+"""What the covariance of the estimates says of single trajectories, and of what all of them share.
 
 A trajectory's constants are the mode z*(u) given the parameters u, and its inner Hessian says how uncertain they are if
 u were known. With the covariance C of u their variance is larger by the square of dk/du = k_u + k_z dz*/du under C
@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.runs import Covariance
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.objective import Objective, Point
 
@@ -37,3 +38,38 @@ def _limits(layout: Layout, covariance: Array) -> Array:
     spreads = {name for each in made for name, _ in each.spreads}
     chosen = np.array([name in spreads for name in layout.names], dtype=bool)
     return np.where(chosen, np.minimum(1.0, UNKNOWN / np.maximum(deviation, 1e-300)), 1.0)
+
+
+def of_shared(layout: Layout, u: Array, covariance: Array, ridge: float) -> Covariance | None:
+    """The covariance of weights and constants, as other fits keep it, from that of (w, u) [W + P, W + P].
+
+    Constants of single trajectories are represented by their medians; spreads, correlations and noises, which no
+    function contains, are integrated out. None where that of the weights is not known; constants of which it is not
+    known are left out.
+    """
+    count = len(covariance) - len(u)
+    of_weights = covariance[:count, :count]
+    if not np.isfinite(of_weights).all():
+        return None
+    medians = {k.name: k.distribution.median for k in layout.distributed if k.distribution is not None}
+    each = {k.name: layout.names.get(medians.get(k.name, k.name)) for k in layout.model.learnables}
+    variances = np.diag(covariance)[count:]
+    places = {name: place for name, place in each.items() if place is not None and np.isfinite(variances[place])}
+    at = [count + place for place in places.values()]
+    slopes = layout.bijections.derivative(u)[list(places.values())]
+    across = slopes[:, None] * covariance[at, :count]
+    own = slopes[:, None] * covariance[np.ix_(at, at)] * slopes
+    values, vectors = np.linalg.eigh(of_weights)
+    values = np.maximum(values, np.finfo(float).tiny)
+    coupling = -(across @ vectors / values) @ vectors.T
+    shares = np.minimum(values * ridge, 1.0)
+    kept = np.flatnonzero(shares < 1.0)
+    return Covariance(
+        names=tuple(layout.parameters.weight_shapes),
+        constants=tuple(places),
+        spread=float(ridge**-0.5) if count else 0.0,
+        vectors=np.ascontiguousarray(vectors[:, kept].T),
+        shares=shares[kept],
+        coupling=coupling,
+        conditional=own + coupling @ across.T,
+    )

@@ -65,6 +65,12 @@ def prepare(
     return min(first, *(_attempt(_weighed(_sized(other))) for other in others), key=_misfit)
 
 
+def at_step(found: Prepared, fraction: float) -> Prepared:
+    """The same at `fraction` of the largest step."""
+    made = replace(found, context=found.context.finer(fraction))
+    return replace(made, loss=mean_loss(_imputed_residuals(made.context, made.parameters, made.theta)))
+
+
 def _weighed(context: Context) -> Context:
     """The context with first weights of channels that have very different numbers of values."""
     context.estimated = first_weights(context)

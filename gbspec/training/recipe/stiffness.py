@@ -23,7 +23,7 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.population import Pooled, pooled_parameters
 from gbspec.training.problem import Integers, Parameters, Problem, default_max_step
 from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.preparation import initial
+from gbspec.training.recipe.preparation import Prepared, at_step, initial, prepare
 from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.starts import Search
 
@@ -42,6 +42,9 @@ MANY = 1000
 UNSOLVED, BETTER = 0.2, 0.9
 """Draws of constants are looked at with the stiff solver too where at least this share cannot be solved with the
 explicit one; their best loss must be below this share of the best one there."""
+REFINED = 16.0
+"""Up to so many times the limit a population with networks takes smaller explicit steps: the second derivatives that
+its likelihood needs take far longer with the stiff solver."""
 LOOKED_AT = 8
 """Most trajectories that are looked at."""
 MOST_ROWS = 2000
@@ -84,11 +87,35 @@ def chosen_solver(
         drawn = model.complete and not (model.diffusions or model.algebraics)
         reason = _by_draws(model, module, some, options, theta) if drawn else None
         return (solver_of(options), None) if reason is None else (STIFF.name, reason)
+    if _refined(model, options) and step * fast <= REFINED * LIMIT:
+        return solver_of(options), None
     reason = (
         f"the equations are stiff: at the data they have rates of {fast:.3g}, which times the step of {step:.3g} is "
         f"{step * fast:.3g}, and an explicit method is stable up to {LIMIT}"
     )
     return STIFF.name, reason
+
+
+def _refined(model: Model, options: TrainOptions) -> bool:
+    """Whether the explicit step is adapted to the rates at the data: see `REFINED`."""
+    chosen = options.max_step is None and options.tolerance is None
+    return chosen and bool(model.distributed and model.networks)
+
+
+def prepared(
+    model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
+) -> Prepared:
+    """A member before its first stage, as from `prepare`; of a population with networks at a step that is stable at the
+    data."""
+    found = prepare(model, module, trajectories, options, seed)
+    context = found.context
+    if not _refined(model, options) or context.adaptive or not _may_be_stiff(model):
+        return found
+    rates = decays(context, found.parameters, found.theta)
+    product = context.max_step * float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    if not LIMIT < product <= REFINED * LIMIT:
+        return found
+    return at_step(found, 0.5 ** int(np.ceil(np.log2(product / (NEAR * LIMIT)))))
 
 
 def _by_draws(

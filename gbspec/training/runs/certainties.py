@@ -11,7 +11,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, network_arguments
 from gbspec.data import evenly_spaced
-from gbspec.runs import Certainties, Support
+from gbspec.runs import Certainties, Covariance, Support
 from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import covariance
 from gbspec.training.problem import Parameters, Problem
@@ -23,13 +23,19 @@ POINTS = 2000
 
 
 def certainties(
-    context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    stages: Sequence[str],
+    member: GeneratedModule,
+    of_population: Covariance | None,
 ) -> Certainties:
     """The certainty of a finished fit at `theta`, from residuals as its last stages saw them; `member` has its
-    weights."""
-    blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
+    weights. Models with a marginal likelihood have theirs `of_population`."""
+    marginal = context.model.marginal
+    blend = 0.0 if marginal or whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
-    return Certainties(covariance(engine, theta), support(engine, theta, member))
+    return Certainties(of_population if marginal else covariance(engine, theta), support(engine, theta, member))
 
 
 def support(engine: Engine, theta: Array, member: GeneratedModule) -> dict[str, Support]:

@@ -14,6 +14,7 @@ from gbspec.files import finite
 from gbspec.runs import (
     Certainties,
     ChannelRecord,
+    Covariance,
     LikelihoodRecord,
     NoiseRecord,
     ObjectiveRecord,
@@ -176,11 +177,17 @@ def _whiteness(engine: FilterEngine, found: Filtered) -> dict[str, WhitenessReco
 
 
 def certainties(
-    context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    stages: Sequence[str],
+    member: GeneratedModule,
+    of_population: Covariance | None,
 ) -> Certainties:
-    """The certainty of a finished fit: with disturbances that of its constants stands in `fit.json` alone."""
+    """The certainty of a finished fit: with disturbances that of its constants stands in `fit.json` alone, that of a
+    population is given."""
     if not context.model.diffusions:
-        return of_squares.certainties(context, parameters, theta, stages, member)
+        return of_squares.certainties(context, parameters, theta, stages, member, of_population)
     engine = filter_of(context, parameters)
     found = engine.filtered(whole_vector(context, engine, theta))
     return Certainties(None, of_squares.support_of(engine.problem, parameters, theta, engine.row_states(found), member))

@@ -28,7 +28,7 @@ from gbspec.training.recipe import (
     Reached,
     build_context,
     plan,
-    prepare,
+    prepared,
     recognition,
     said_of_switches,
     step_fraction,
@@ -90,7 +90,7 @@ def fit_member(
             runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
         else:
             progress.message(f"member {member}: curves through the data, first values of functions and constants")
-            ready = prepare(model, module, trajectories, options, seed)
+            ready = prepared(model, module, trajectories, options, seed)
             position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
             runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
             runner.record_preparation(time.monotonic() - began)
@@ -330,20 +330,19 @@ class _Runner:
         result = summarise(self.context, self.parameters, position.best, freedom, position.seconds, fitted)
         result.stages = list(position.stages)
         more: dict[str, object] = {}
-        if position.finished and self.context.model.marginal:
+        names, marginal, shared = [stage.name for stage in fitted], self.context.model.marginal, None
+        if position.finished and marginal:
             ridge = float(position.ridge)
-            result, found = with_population(
-                result, self.context, self.parameters, position.best, [s.name for s in fitted], ridge
-            )
+            result, found = with_population(result, self.context, self.parameters, position.best, names, ridge)
             result.population, result.objective = found.record, found.objective
             found.tables.write(self.directory)
-            more = {"population": found.info}
+            more, shared = {"population": found.info}, found.covariance
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
-            **self.context.steps(step_fraction([stage.name for stage in fitted])),
+            **self.context.steps(step_fraction(names)),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
@@ -360,10 +359,11 @@ class _Runner:
             result.left += self._unsteady(instance)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         factor = widening(result.channels)
-        if position.finished and not self.context.model.marginal:
-            names = [stage.name for stage in fitted]
-            known = certainties(self.context, self.parameters, position.best, names, instance).widened(factor)
+        if position.finished:
+            known = certainties(self.context, self.parameters, position.best, names, instance, shared)
+            known = known if marginal else known.widened(factor)
             known.write(self.directory)
+        if position.finished and not marginal:
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
             result.left += said_of_splines(self.context, self.parameters, position.best, names)
             result.left += said_of_past(self.context, self.parameters, position.best, names, result.channels)
@@ -371,7 +371,7 @@ class _Runner:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)
         result.history = list(position.history)
-        if not self.context.model.marginal:
+        if not marginal:
             for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
                 result.sd[name] = factor * float(deviation)
             result.correlations = position.certainty.correlations

@@ -10,7 +10,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.runs import EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
+from gbspec.runs import Covariance, EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
 from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
@@ -31,6 +31,7 @@ class Described:
     objective: ObjectiveRecord
     tables: PopulationTables
     info: dict[str, object]
+    covariance: Covariance | None
 
 
 def with_population(
@@ -72,6 +73,7 @@ def with_population(
         _objective(found, objective),
         tables,
         _info(objective, found),
+        found.shared,
     )
 
 

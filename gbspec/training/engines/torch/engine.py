@@ -53,10 +53,10 @@ class TorchEngine:
             self._schedule = path, Schedule(self.problem, path, self._dtype, self.device)
         return self._schedule[1]
 
-    def unroll(self, theta: Tensor, path: Path) -> Unrolled:
-        """The solution at a vector, differentiable in it, on the device of `theta`."""
+    def unroll(self, theta: Tensor, path: Path, whole: bool = False) -> Unrolled:
+        """The solution at a vector, differentiable in it, on the device of `theta`; `whole` as for `unroll`."""
         home = theta.device
-        out = unroll(self.problem, self.parameters, theta.to(self.device), self.schedule(path))
+        out = unroll(self.problem, self.parameters, theta.to(self.device), self.schedule(path), whole)
         return Unrolled(out.before.to(home), out.after.to(home), out.initial.to(home), out.mean.to(home))
 
     def moments(self, theta: Array, path: Path) -> Moments:

@@ -31,16 +31,19 @@ class Unrolled:
     mean: Tensor
 
 
-def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Schedule) -> Unrolled:
+def unroll(
+    problem: Problem, parameters: Parameters, theta: Tensor, schedule: Schedule, whole: bool = False
+) -> Unrolled:
     """Steps every trajectory from its initial state through its key rows; differentiable in `theta`, which must have
-    the schedule's device and type."""
+    the schedule's device and type. `whole`: nothing is recomputed in the backward pass, whatever the memory, as where
+    `theta` has forward derivatives, which are gone by then."""
     packed, module = problem.packed, problem.module
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
     initial = initial_states(problem, parameters, theta, parameters.starts(theta), constants, networks)
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
     motion = Motion(problem, schedule, parameters, constants, networks)
-    states, late = motion.delayed(schedule, x) if problem.model.delays else (_run(schedule, motion, x), None)
+    states, late = motion.delayed(schedule, x) if problem.model.delays else (_run(schedule, motion, x, whole), None)
     before = torch.cat(states)[schedule.row]
     value, weight = theta.new_tensor(problem.forcing.value), theta.new_tensor(problem.forcing.weight)
     owner = torch.from_numpy(packed.row_trajectory).to(theta.device)
@@ -49,7 +52,7 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
     return Unrolled(before, before - weight * (before - value), initial, mean)
 
 
-def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
+def _run(schedule: Schedule, motion: Motion, x: Tensor, whole: bool) -> list[Tensor]:
     """States of the live segments at their starts and at the end of each sub-step, from `x` [P, n_states]."""
     passed, steps = [x], schedule.steps
     # Computed in advance, so that an interval that is recomputed uses the same values as the first time.
@@ -75,7 +78,7 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
         return advance(x[row], SubStep(t, h, nodes, motion.grid(t, h)), motion.deliveries, motion.of(row))
 
     every = [(0, len(steps))]
-    if torch.is_grad_enabled():
+    if torch.is_grad_enabled() and not whole:
         every = memory.checkpoint_intervals([len(step.t) for step in steps], lambda: memory.kept_bytes(single))
     for begin, end in every:
         if len(every) == 1:
