@@ -34,10 +34,23 @@ def fit(
     """Like `train` but without the check of steps, for studies, which have their own checks."""
     if progress is not None:  # before torch is imported, which takes seconds
         size = f"{data.measurements:,} values in {len(data):,} trajector{'y' if len(data) == 1 else 'ies'}"
-        progress.message(f"preparing: {model.name}, {size}")
+        progress.message(f"preparing: {model.name}, {size}{_absent(model, data)}")
     from gbspec.training import train as run
 
     return run(model, data, options, directory, progress)
+
+
+def _absent(model: Model, data: Trajectories) -> str:
+    """What is said of states that are absent from trajectories."""
+    from gbspec.data import absent_states
+
+    absent = absent_states(model, data.items)
+    found = [
+        f"`{state.name}` from {column.sum()}"
+        for state, column in zip(model.states, absent.T, strict=True)
+        if column.any()
+    ]
+    return f"; absent, so that their zeros do not count: {', '.join(found)} of these" if found else ""
 
 
 @packages()

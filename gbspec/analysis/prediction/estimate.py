@@ -28,7 +28,7 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
-from gbspec.data import recognised, scales_of, sobol, spread_over_ranges
+from gbspec.data import absent_states, recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
 
 if TYPE_CHECKING:
@@ -169,7 +169,8 @@ class Estimator:
         """The states whose initial values are estimated."""
         if not self.released:
             return needed(self.model, item)
-        return tuple(i for i, state in enumerate(self.model.states) if not state.initial.known)
+        (absent,) = absent_states(self.model, [item])
+        return tuple(i for i, state in enumerate(self.model.states) if not (state.initial.known or absent[i]))
 
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` if none can be integrated."""

@@ -26,6 +26,7 @@ from .path import Path as Path
 from .path import path_of as path_of
 from .path import with_doses as with_doses
 from .problem import Problem as Problem
+from .residuals import limited as limited
 from .residuals import mean_loss as mean_loss
 from .residuals import measured_only as measured_only
 from .residuals import residual_slopes as residual_slopes

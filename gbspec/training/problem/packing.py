@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data import Limits, Trajectories, Trajectory, evaluate
 from gbspec.data import weights as weights_of
 from gbspec.ir import RK4, Method, Model, insets
@@ -72,6 +72,12 @@ class Packed:
     def trajectories(self) -> int:
         """Number of trajectories."""
         return int(self.condition.shape[0])
+
+    def without(self, channels: Mask) -> Packed:
+        """The same without the measurements of some channels [N, C] of the trajectories."""
+        if not channels.any():
+            return self
+        return replace(self, weights=np.where(channels[self.row_trajectory], 0.0, self.weights))
 
     @property
     def depth(self) -> int:

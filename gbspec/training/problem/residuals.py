@@ -11,6 +11,10 @@ from gbspec.arrays import Array
 from gbspec.ir import residuals, slopes
 from gbspec.training.problem.problem import Problem
 
+OUTLYING, FEW = 4.0, 0.05
+"""Residuals beyond `OUTLYING` robust standard deviations are outliers, if they are at most the share `FEW` of all, or a
+single one."""
+
 
 def residuals_of(problem: Problem, predicted: Array) -> Array:
     """Residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
@@ -43,3 +47,14 @@ def typical(residuals: Array) -> float:
     if not np.isfinite(residuals).all():
         return float("inf")
     return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
+
+
+def limited(residuals: Array) -> Array:
+    """Absolute residuals, of outliers no more than `OUTLYING` robust standard deviations.
+
+    Where more than a few lie so far out, the residuals are of two kinds, such as those of values that are fitted
+    exactly beside others, and the median says nothing of the larger ones: then all count in full.
+    """
+    found, most = np.abs(residuals), OUTLYING * typical(residuals)
+    few = np.count_nonzero(found > most) <= max(FEW * len(found), 1)
+    return np.asarray(np.minimum(found, most) if few else found, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule, load_module
-from gbspec.data import Estimated, Scales, Trajectories, scales_of
+from gbspec.data import Estimated, Scales, Trajectories, absent_channels, absent_states, scales_of
 from gbspec.ir import METHODS, Method, Model, RosenbrockW, linear_in_states
 from gbspec.passes import Switched, with_switches
 from gbspec.training.engines import Choice, Engine, choose
@@ -45,7 +45,8 @@ class Context:
 
     `held` are the trajectories (or a single trajectory's last rows) excluded by `--holdout`; their own initial states
     are fitted, but they have no influence on shared parameters. `estimated` is the noise by which channels are weighed,
-    once residuals have shown it. `cutting`: whether steps end where right-hand sides switch, from now on.
+    once residuals have shown it. `absent` [N, n_states]: states that are absent from a trajectory, whose zeros do not
+    count (`gbspec.data.absence`). `cutting`: whether steps end where right-hand sides switch, from now on.
     """
 
     model: Model
@@ -60,6 +61,7 @@ class Context:
     points: Points
     start_value: Array
     start_free: Array
+    absent: Mask
     state_scale: Array
     choice: Choice = field(default_factory=Choice)
     estimated: Estimated | None = None
@@ -110,13 +112,21 @@ class Context:
             rng = None if draw is None else np.random.default_rng([self.seed, 31, draw])
             if draw is not None:
                 self._packed = {k: v for k, v in self._packed.items() if k[1] is None}
-            self._packed[key] = self.pack(self.trajectories, fraction, rng)
+            self._packed[key] = self.pack(self.trajectories, fraction, rng, self.absent)
         return self._packed[key]
 
-    def pack(self, trajectories: Trajectories, fraction: float = 1.0, rng: np.random.Generator | None = None) -> Packed:
+    def pack(
+        self,
+        trajectories: Trajectories,
+        fraction: float = 1.0,
+        rng: np.random.Generator | None = None,
+        absent: Mask | None = None,
+    ) -> Packed:
         """The packing of some trajectories for the solver's method; adaptive steps divide its sub-steps."""
         most = self.max_step if self.adaptive else fraction * self.max_step
-        return pack(trajectories, self.model, most, rng, self.method)
+        packed = pack(trajectories, self.model, most, rng, self.method)
+        absent = absent_states(self.model, trajectories.items) if absent is None else absent
+        return packed.without(absent_channels(self.model, absent))
 
     def posed(self, packed: Packed, forcing: Forcing, fraction: float = 1.0) -> Problem:
         """The problem of packed data."""
@@ -168,8 +178,12 @@ class Context:
 
         `released`: measured initial values are learned too, and the measurements treated like all others.
         """
-        free = released_starts(self.model, self.start_free) if released else self.start_free
-        return Parameters(self.model, self.start_value, self.state_scale, free, fixed)
+        made = Parameters(self.model, self.start_value, self.state_scale, self.start_free, fixed)
+        return self.released(made) if released else made
+
+    def released(self, parameters: Parameters) -> Parameters:
+        """The layout in which measured initial values are learned too, and the measurements treated like all others."""
+        return replace(parameters, start_free=released_starts(self.model, parameters.start_free, self.absent))
 
 
 def build_context(
@@ -188,9 +202,11 @@ def build_context(
         max_step = np.inf if is_adaptive(method, options) else default_max_step(trajectories)
     instance = module.random(seed)
     curves = with_derived(model, instance, kept, fit_curves(model, kept, kind))
-    packed = pack(kept, model, max_step, method=method)
+    absent = absent_states(model, kept.items)
+    packed = pack(kept, model, max_step, method=method).without(absent_channels(model, absent))
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
+    value[absent], free[absent] = 0.0, 0.0
     context = Context(
         model,
         instance,
@@ -204,6 +220,7 @@ def build_context(
         collocate(model, kept, curves, value),
         value,
         free,
+        absent,
         state_scale,
         choose(model, module, options, packed.substeps),
     )
@@ -278,10 +295,11 @@ def start_states(model: Model, trajectories: Trajectories, curves: Curves, packe
     return value, free
 
 
-def released_starts(model: Model, free: Array) -> Array:
-    """The mask of learned initial states [N, n_states] if measured ones are released: all except expressions."""
+def released_starts(model: Model, free: Array, absent: Mask) -> Array:
+    """The mask of learned initial states [N, n_states] if measured ones are released: all except expressions, and
+    states that are absent."""
     expressed = np.array([state.initial.known for state in model.states], dtype=bool)
-    return np.where(expressed, free, 1.0)
+    return np.where(expressed | absent, free, 1.0)
 
 
 def _guess(model: Model, index: int, measured: Array) -> float:

@@ -14,7 +14,7 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe import populations
 from gbspec.training.recipe.breeding import Breeding
-from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
@@ -76,7 +76,7 @@ class _Planner:
         self.effort: Effort = "normal" if first and self.options.effort == "high" else self.options.effort
         self.enough = ENOUGH[self.effort]
         # Whole solutions of noisy data must not start from single noisy values; the vector's layout stays the same.
-        self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
+        self.released = context.released(parameters)
         self.judged = Judged(context, parameters, self.released, self.values)
 
     def stages(self) -> list[Planned]:

@@ -107,14 +107,16 @@ class Segments:
     def of(cls, context: Context, whole: Parameters, rows: int) -> Segments:
         """Segments of about `rows` intervals."""
         data, owner, first = cut(context.trajectories, rows, divisible(context.model))
-        free = released_starts(context.model, context.start_free)[owner]
+        free = released_starts(context.model, context.start_free, context.absent)[owner]
         value = context.start_value[owner].copy()
         for segment in np.flatnonzero(first > 0):
             at = np.array([data.items[segment].start])
             for state, curve in enumerate(context.curves.items[owner[segment]]):
                 if curve is not None:
                     value[segment, state] = curve.extended(at)[0]
-        own = replace(context, trajectories=data, start_value=value, start_free=free, _packed={})
+        absent = context.absent[owner]
+        value[absent] = 0.0
+        own = replace(context, trajectories=data, start_value=value, start_free=free, absent=absent, _packed={})
         parameters = replace(whole, start_value=value, start_free=free)
         return cls(own.engine(parameters, 0.0), whole, owner, first)
 

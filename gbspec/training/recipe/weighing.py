@@ -20,7 +20,7 @@ from gbspec.data import Estimated, deviations, unstated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, linearise, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, NormalEquations, Stage, evidence
-from gbspec.training.problem import Integers, Parameters, autocorrelation_of, in_time, share_that_counts
+from gbspec.training.problem import Integers, Parameters, autocorrelation_of, in_time, limited, share_that_counts
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
 from gbspec.training.stages import StageName
@@ -42,8 +42,6 @@ LEAST_LEFT = 0.25
 TOLD = 25
 """At least so many values count, if there are so many: the correlation of the residuals of fewer is known to 0.2 at
 best, and a channel that counts too little is followed even less, so that they become more correlated."""
-OUTLYING = 4.0
-"""Residuals beyond this many robust standard deviations do not count in full."""
 MAD_TO_SD = 1.4826
 WEAK = 1e-2
 """Precision of a prior on all entries in the count of degrees of freedom, relative to the noise."""
@@ -146,10 +144,8 @@ def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> E
     for i in np.flatnonzero(free):
         rows = in_time(problem, int(i))
         column = table[rows, i]
-        robust = MAD_TO_SD * float(np.median(np.abs(column)))
-        inside = np.minimum(np.abs(column), OUTLYING * robust) if robust > 0 else np.abs(column)
         left = max(len(column) - used[i], LEAST_LEFT * len(column), 1.0)
-        noise[i] = scale[i] * float(np.sqrt(np.sum(inside**2) / left))
+        noise[i] = scale[i] * float(np.sqrt(np.sum(limited(column) ** 2) / left))
         share[i] = share_of(column, problem.packed.row_trajectory[rows])
     if (noise[free] <= CLEAN * deviation[free]).all():
         return None

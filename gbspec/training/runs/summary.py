@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.data import Scales, naive_predictors, states_far_outside, variance_of
+from gbspec.data import Scales, naive_predictors, present_values, states_far_outside, variance_of
 from gbspec.files import finite
 from gbspec.ir import Model
 from gbspec.runs import ChannelRecord, LikelihoodRecord, ObjectiveRecord, PopulationRecord, StageRecord
@@ -20,6 +20,7 @@ from gbspec.training.problem import (
     Problem,
     autocorrelation_of,
     in_time,
+    limited,
     mean_loss,
     measured_only,
     residuals_of,
@@ -170,7 +171,7 @@ def _channels(
     context: Context, parameters: Parameters, theta: Array, problem: Problem, mean: Array, fraction: float
 ) -> dict[str, ChannelRecord]:
     """How whole solutions follow each channel's data, and those of held-out trajectories."""
-    naive = naive_predictors(context.model, context.trajectories)
+    naive = naive_predictors(context.model, present_values(context.model, context.trajectories, context.absent))
     held = held_out_solutions(context, parameters, theta, fraction)
     estimated, scales = context.estimated, context.scaled(context.estimated)
     residuals = residuals_of(problem, mean)
@@ -221,14 +222,13 @@ class _Noise:
     """Residuals [R, C], in units of the channels' scales, from which the noise is estimated.
 
     If the data are noisy, or only constants are learned, whole solutions were fitted: the noise variance is then the
-    mean squared residual (residuals are limited to `threshold`, four standard deviations), divided by the `share` of
-    the degrees of freedom that the fit has not used. Otherwise each value was predicted from the previous one, and
+    mean squared residual (with limited outliers), divided by the `share` of the degrees of freedom that the fit has not
+    used. Otherwise each value was predicted from the previous one, and
     the noise is estimated from the median.
     """
 
     residuals: Array
     share: float | None
-    threshold: float
 
     @classmethod
     def of(
@@ -241,10 +241,9 @@ class _Noise:
         residuals = residuals if share is None else residuals / np.sqrt(share)
         count = float(np.sum(engine.problem.noise_terms(residual_vector(engine, theta))[1] / engine.problem.shares))
         if not whole or not count:
-            return cls(residuals, None, float("inf"))
+            return cls(residuals, None)
         used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
-        threshold = 4 * _robust_deviation(residuals[engine.problem.valued])
-        return cls(residuals, max(1 - used / count, 0.1, 1 / count), threshold)
+        return cls(residuals, max(1 - used / count, 0.1, 1 / count))
 
     def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:
         """The standard deviation of a channel's noise."""
@@ -252,9 +251,8 @@ class _Noise:
         column = column[np.isfinite(column)]
         if self.share is None or not len(column):
             return _robust_deviation(column)
-        inside = np.minimum(np.abs(column), self.threshold)
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.sqrt(np.mean(inside**2) / self.share))
+            return float(np.sqrt(np.mean(limited(column) ** 2) / self.share))
 
 
 def whole_solutions(context: Context, parameters: Parameters, stages: Sequence[str]) -> bool:

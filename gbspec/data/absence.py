@@ -1,0 +1,98 @@
+"""States that are absent from a trajectory: measured as exactly 0 throughout, and kept there by their balances.
+
+Such zeros tell nothing of the noise, since every model has them exactly, and nothing of the start: a solution that
+began beside zero would be another one, of a species that is there, and might grow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import sympy
+from sympy.core.function import AppliedUndef
+
+from gbspec.arrays import Mask
+from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.ir import Model
+
+
+def absent_states(model: Model, items: Sequence[Trajectory]) -> Mask:
+    """The states [N, n_states] that are absent from each of N trajectories."""
+    out = np.zeros((len(items), len(model.states)), dtype=np.bool_)
+    if model.diffusions or model.delays:
+        return out
+    place = {
+        channel.state: j
+        for j, channel in enumerate(model.channels)
+        if channel.state is not None and model.states[channel.state].initial.kind == "measured"
+    }
+    staying: dict[frozenset[int], frozenset[int]] = {}
+    for k, item in enumerate(items):
+        zero = frozenset(i for i, j in place.items() if _zero(item, j) and not _changed(model, item, i))
+        if zero not in staying:
+            staying[zero] = _staying(model, zero)
+        out[k, sorted(staying[zero])] = True
+    return out
+
+
+def absent_channels(model: Model, absent: Mask) -> Mask:
+    """The channels [N, C] that measure absent states [N, n_states]."""
+    out = np.zeros((len(absent), len(model.channels)), dtype=np.bool_)
+    for j, channel in enumerate(model.channels):
+        if channel.state is not None:
+            out[:, j] = absent[:, channel.state]
+    return out
+
+
+def present_values(model: Model, trajectories: Trajectories, absent: Mask) -> Trajectories:
+    """The trajectories without the values of absent states."""
+    hidden = absent_channels(model, absent)
+    items = tuple(
+        replace(item, values=np.where(columns, np.nan, item.values)) if columns.any() else item
+        for item, columns in zip(trajectories.items, hidden, strict=True)
+    )
+    return replace(trajectories, items=items)
+
+
+def _zero(item: Trajectory, channel: int) -> bool:
+    """Whether a channel is measured at the start, and all of its values are 0."""
+    values = item.values[:, channel]
+    known = values[np.isfinite(values)]
+    censored = item.limits is not None and bool((item.limits.side[:, channel] != 0).any())
+    begins = bool(len(values)) and item.times[0] == item.start and values[0] == 0
+    return begins and not censored and bool((known == 0).all())
+
+
+def _changed(model: Model, item: Trajectory, state: int) -> bool:
+    """Whether something else than its balance changes a state: a dose of this trajectory, or an event."""
+    name = model.states[state].name
+    dosed = any(
+        dose.state == name and bool(np.any(given.amounts != 0))
+        for dose, given in zip(model.doses, item.doses, strict=True)
+    )
+    return dosed or any(name in dict(event.values) for event in model.events)
+
+
+def _staying(model: Model, zero: frozenset[int]) -> frozenset[int]:
+    """Those of the states `zero` that stay at 0, as long as they are 0 together."""
+    while zero:
+        nothing = {model.states[i].symbol: sympy.S.Zero for i in zero}
+        balances = [b.xreplace(nothing) for b in model.inlined([model.balances[i] for i in sorted(zero)])]
+        calls = {call for balance in balances for call in balance.atoms(AppliedUndef) if _promised(model, call)}
+        balances = [balance.xreplace(dict.fromkeys(calls, sympy.S.Zero)) for balance in balances]
+        kept = frozenset(i for i, balance in zip(sorted(zero), balances, strict=True) if balance.is_zero)
+        if kept == zero:
+            break
+        zero = kept
+    return zero
+
+
+def _promised(model: Model, call: AppliedUndef) -> bool:
+    """Whether a contract says that an unknown function is 0 at the arguments of a call."""
+    unknown = next((one for one in model.unknowns if one.name == call.func.__name__), None)
+    if unknown is None:
+        return False
+    given = dict(zip((one.name for one in model.networks[unknown.network].arguments), call.args, strict=True))
+    return any(one.kind == "zero" and given.get(one.argument or "") == one.value for one in unknown.contracts)

@@ -1,0 +1,120 @@
+"""States that are absent from a trajectory: zeros that every model has say nothing of the noise, nor of a start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.data import absent_states
+from gbspec.diagnostics import Findings
+from gbspec.ir import Model
+from gbspec.operations import tables
+from gbspec.training import TrainOptions, train
+from gbspec.training.problem import limited
+from tests.training.test_populations import model_of
+
+TWO = """model two
+time t
+state x in [0, 20]
+state y in [0, 20]
+learn r = 0.5 in [0.01, 5]
+learn s = 0.5 in [0.01, 5]
+learn a = 0.1 in [0, 2]
+x' = r*x*(1 - (x + a*y)/10)
+y' = s*y*(1 - (y + a*x)/10)
+observe x
+observe y
+"""
+
+
+def rows(values: np.ndarray, label: str) -> list[str]:
+    return [f"{label},{t},{x!r},{y!r}" for t, (x, y) in enumerate(values.tolist())]
+
+
+def cultures(folder: Path, text: str = TWO) -> tuple[Model, Path]:
+    """Two species in pure and in mixed culture; where one is present, its noise has the standard deviation 0.3."""
+    random, t = np.random.default_rng(3), np.arange(12.0)
+
+    def solved(x: float, y: float) -> np.ndarray:
+        out, steps = [np.array([x, y])], 200
+        for _ in t[1:]:
+            at = out[-1]
+            for _ in range(steps):
+                crowd = 1 - (at + 0.3 * at[::-1]) / 10
+                at = at + np.array([0.8, 0.6]) * at * crowd / steps
+            out.append(at)
+        found = np.array(out)
+        return np.where(found > 0, np.maximum(found + 0.3 * random.standard_normal(found.shape), 0.05), 0.0)
+
+    lines = [
+        "trajectory,t,x,y",
+        *rows(solved(0.6, 0), "X"),
+        *rows(solved(0, 0.6), "Y"),
+        *rows(solved(0.6, 0.6), "both"),
+    ]
+    path = folder / "cultures.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return model_of(text, folder), path
+
+
+def absent(model: Model, path: Path) -> list[list[bool]]:
+    return absent_states(model, tables.read_data(path, model, Findings()).items).tolist()
+
+
+def test_a_species_is_absent_where_all_is_zero_and_stays_so(tmp_path: Path) -> None:
+    model, path = cultures(tmp_path)
+    assert absent(model, path) == [[False, True], [True, False], [False, False]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("y' = s*y", "y' = 0.01*x + s*y"),  # it would arise
+        ("observe x", "initial y = 0\nobserve x"),  # the model says so itself
+        ("observe x", "event inoculation when x > 5: y = 1\nobserve x"),
+        ("observe x", "diffusion y = 0.1\nobserve x"),
+    ],
+)
+def test_no_other_zero_is_an_absence(old: str, new: str, tmp_path: Path) -> None:
+    model, path = cultures(tmp_path, TWO.replace(old, new))
+    assert absent(model, path)[0] == [False, False]
+
+
+def test_a_promise_of_zero_keeps_a_state_there(tmp_path: Path) -> None:
+    text = TWO.replace("observe x\n", "unknown f(y) zero at y = 0 by mlp(3)\nobserve x\n")
+    model, path = cultures(tmp_path, text.replace("y' = s*y", "y' = f + s*y"))
+    assert absent(model, path)[0] == [False, True]
+
+
+def test_states_that_feed_each_other_are_absent_together(tmp_path: Path) -> None:
+    model, path = cultures(
+        tmp_path, TWO.replace("y' = s*y", "y' = 0.1*x + s*y").replace("x' = r*x", "x' = 0.1*y + r*x")
+    )
+    text = path.read_text().replace("both", "neither")
+    head, *lines = text.splitlines()
+    path.write_text("\n".join([head, *(f"neither,{t},0,0" for t in range(6)), *lines[:12]]) + "\n")
+    assert absent(model, path) == [[True, True], [False, False]]
+
+
+def test_zeros_of_absence_do_not_count(tmp_path: Path) -> None:
+    model, path = cultures(tmp_path)
+    run = train(model, tables.read_data(path, model, Findings()), TrainOptions(), tmp_path / "run")
+    fit = run.fit
+    assert {name: one.values for name, one in fit.members[0].channels.items()} == {"x": 24, "y": 24}
+    assert fit.noise["x"] == pytest.approx(0.3, rel=0.35)
+    assert fit.noise["y"] == pytest.approx(0.3, rel=0.35)
+    starts = run.member().weights["initial"]
+    assert (starts[0, 1], starts[1, 0]) == (0.0, 0.0)
+    assert starts[2].min() > 0.1
+    assert fit.constants["r"].value == pytest.approx(0.8, abs=3 * fit.constants["r"].sd)
+
+
+def test_residuals_of_two_kinds_count_in_full() -> None:
+    random = np.random.default_rng(1)
+    column = np.concatenate([np.zeros(40), random.standard_normal(60)])
+    assert np.sqrt(np.mean(limited(column) ** 2)) == pytest.approx(np.sqrt(np.mean(column**2)))
+    few = np.concatenate([random.standard_normal(97), np.full(3, 50.0)])
+    assert limited(few).max() < 6
+    assert len(limited(np.zeros(0))) == 0
