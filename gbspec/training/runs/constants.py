@@ -186,7 +186,8 @@ def said_of_constants(
     say nothing of them."""
     astray = lost(results)
     unclear = undetermined(model, constants) if len(astray) < len(results) else []
-    return [*unclear, *ended_at_bounds(ended, astray)]
+    meant = [one for one in ended if one[1] not in results[one[0]].vanished]
+    return [*unclear, *ended_at_bounds(meant, astray)]
 
 
 def ended_at_bounds(ended: Iterable[tuple[int, str, float]], astray: AbstractSet[int]) -> list[str]:

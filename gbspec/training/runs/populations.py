@@ -16,6 +16,9 @@ from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.summary import MemberResult
 
+EXACTLY = 1e-6
+"""A noise below this part of a channel's median one is none."""
+
 VANISHED = 1e-3
 """A spread of logarithms (of logits; relative to the start of a normal one) below this is none."""
 
@@ -67,7 +70,8 @@ def with_population(
     )
     tables = _tables(context, found, objective)
     errors = _errors(context, tables)
-    made_result.left += [*_vanished(objective, found), *said_of_errors(errors)]
+    made_result.vanished, infinite = _unbounded(context, found, tables)
+    made_result.left += [*infinite, *_vanished(objective, found), *said_of_errors(errors)]
     return made_result, Described(
         replace(_record(context, found, objective), npde=errors),
         _objective(found, objective),
@@ -93,6 +97,35 @@ def _vanished(objective: Objective, found: PopulationResult) -> list[str]:
             if name is not None and found.estimates.value[found.estimates.at(name)] < VANISHED * size
         ]
     return out
+
+
+def _unbounded(context: Context, found: PopulationResult, tables: PopulationTables) -> tuple[frozenset[str], list[str]]:
+    """The constants of noises that vanish at some values, which the model then has exactly, and a warning for each
+    channel with such values: its likelihood grows without limit."""
+    names, out = set(), []
+    for i, channel in enumerate(context.model.channels):
+        rows = np.flatnonzero(tables.arrays["channel"] == i)
+        sd = found.noise[rows]
+        exact = rows[sd < EXACTLY * np.median(sd)] if len(rows) else rows
+        if not len(exact) or channel.noise is None or channel.noise.value is None:
+            continue
+        symbols = {symbol.name for symbol in channel.noise.value.free_symbols} & set(found.estimates.names)
+        gone = [name for name in sorted(symbols) if abs(_estimate(found, name)) < EXACTLY * np.median(sd)]
+        names |= set(gone)
+        at = zip(tables.arrays["owner"][exact[:3]], tables.arrays["time"][exact[:3]], strict=True)
+        first = ", ".join(f"`{tables.labels[int(owner)]}` at {time:g}" for owner, time in at)
+        out.append(
+            f"the likelihood has no maximum: the noise of {len(exact)} values of `{channel.name}` ({first}"
+            f"{', ...' if len(exact) > 3 else ''}) went to zero, since the model has these values exactly, as a 0 "
+            "before a first dose; -2 log likelihood, constants and intervals mean nothing. Leave these values empty, "
+            f"write them as limits (`<0.1`), or give {', '.join(f'`{name}`' for name in gone) or 'the noise'} a lower "
+            "bound above zero"
+        )
+    return frozenset(names), out
+
+
+def _estimate(found: PopulationResult, name: str) -> float:
+    return float(found.estimates.value[found.estimates.at(name)])
 
 
 def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecord]:

@@ -76,6 +76,8 @@ class MemberResult:
     population: PopulationRecord | None = None
     objective: ObjectiveRecord | None = None
     likelihood: LikelihoodRecord | None = None
+    vanished: frozenset[str] = frozenset()
+    """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
 
 
 def summarise(
