@@ -237,6 +237,25 @@ def test_draws_that_only_the_stiff_method_solves_count_where_they_are_better(
     assert reason is None or "2 cannot be solved with `rk4`" in reason
 
 
+@pytest.mark.parametrize(("solved", "expected"), [(3, "ros34pw2"), (2, "rk4")])
+def test_draws_that_mostly_the_stiff_method_alone_solves_count_however_near_the_best_is(
+    solved: int, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of five draws the explicit method solves one, which is the best one."""
+
+    def losses(search: Search, theta: Array) -> tuple[Array, Array]:
+        found = np.array([1.0, *[np.inf] * 4])
+        if search.engine.problem.control is not None:
+            found[1 : 1 + solved] = 2.0
+        return np.zeros((5, 1)), found
+
+    monkeypatch.setattr(Search, "losses", losses)
+    model = model_of(KNOWN)
+    name, reason = chosen_solver(model, load_module(model), urp_data(3, 2.0, 5), TrainOptions(backend="torch"))
+    assert name == expected
+    assert reason is None or "of 5 points" in reason and "3 can be solved with `ros34pw2` alone" in reason
+
+
 def test_a_tolerance_makes_the_steps_of_an_explicit_method_adaptive(tmp_path: Path) -> None:
     made = trained("auto", tmp_path / "run", tolerance=1e-5)
     assert made.fit.solver == "dopri5" and made.member().info["tolerance"] == 1e-5

@@ -1,4 +1,4 @@
-"""A learned noise that vanishes where the model has a value exactly makes the likelihood infinite: that is no result."""
+"""A learned noise that vanishes where the model has a value exactly makes the likelihood infinite: no result."""
 
 from __future__ import annotations
 

@@ -39,9 +39,10 @@ SHORT = 5.0
 """In pieces of so many times of growth errors grow by e to this: a start shows, and its error does not take over."""
 MANY = 1000
 """With more fixed steps than this between two rows on average, times spread over so many scales that steps have to."""
-UNSOLVED, BETTER = 0.2, 0.9
-"""Draws of constants are looked at with the stiff solver too where at least this share cannot be solved with the
-explicit one; their best loss must be below this share of the best one there."""
+UNSOLVED, BETTER, MOST = 0.2, 0.9, 0.5
+"""Draws of constants are looked at with the stiff solver too where at least the share `UNSOLVED` cannot be solved with
+the explicit one; their best loss must be below `BETTER` times the best one there, or more than the share `MOST` of
+all draws must be solved by the stiff one alone."""
 REFINED = 16.0
 """Up to so many times the limit a population with networks takes smaller explicit steps: the second derivatives that
 its likelihood needs take far longer with the stiff solver."""
@@ -137,6 +138,12 @@ def _by_draws(
     if failed.mean() < UNSOLVED:
         return None
     stiff = losses(load_module(model, STIFF))
+    alone = failed & np.isfinite(stiff)
+    if alone.mean() > MOST:
+        return (
+            f"of {len(explicit)} points drawn from the ranges of the constants, {int(alone.sum())} can be solved with "
+            f"`{STIFF.name}` alone"
+        )
     best = int(np.argmin(np.where(np.isfinite(stiff), stiff, np.inf)))
     if not (failed[best] and stiff[best] < BETTER * float(np.min(explicit, initial=np.inf, where=~failed))):
         return None
