@@ -12,7 +12,9 @@ from gbspec.analysis import fences, function_bands
 from gbspec.analysis.prediction.displaced import Displaced
 from gbspec.analysis.prediction.solutions import Start
 from gbspec.backends import load_module
+from gbspec.data import read
 from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import Findings
 from gbspec.runs import Certainties, Covariance, Support, files, read_certainties
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines.torch.engine import TorchEngine
@@ -161,3 +163,23 @@ observe x
     assert np.all((ratio > 0.5) & (ratio < 1.6)), "draws stay in the linear range"
     fence = fences(run)["f"]
     assert fence.beyond(points).tolist() == [False, False, False, True]
+
+
+def test_arguments_between_rows_are_known(tmp_path: Path) -> None:
+    """The input passes 5 between the start and the first row, and between two rows, and is near 0 at all rows."""
+    text = """model driven
+time t from 0
+input u linear
+state x
+unknown f(u) by mlp(3)
+x' = f - x
+initial x = 1
+observe x
+"""
+    rows = ["t,u,x", "0,4,", "1,0,0.5", "2,0.1,0.4", "2.5,5,", "3,0.2,0.5", "4,0,0.4", "5,0,0.45"]
+    (tmp_path / "data.csv").write_text("\n".join(rows) + "\n")
+    model = model_of(text)
+    run = train(model, read(tmp_path / "data.csv", model, Findings()), TrainOptions(effort="low"), tmp_path / "run")
+    points = np.sort(run.certainties().support["f"].points[:, 0])
+    assert points.min() == 0 and points[-2:] == pytest.approx([4, 5])
+    assert ((points > 2) & (points < 3.5)).any()

@@ -253,7 +253,7 @@ def test_draws_that_mostly_the_stiff_method_alone_solves_count_however_near_the_
     model = model_of(KNOWN)
     name, reason = chosen_solver(model, load_module(model), urp_data(3, 2.0, 5), TrainOptions(backend="torch"))
     assert name == expected
-    assert reason is None or "of 5 points" in reason and "3 can be solved with `ros34pw2` alone" in reason
+    assert reason is None or ("of 5 points" in reason and "3 can be solved with `ros34pw2` alone" in reason)
 
 
 def test_a_tolerance_makes_the_steps_of_an_explicit_method_adaptive(tmp_path: Path) -> None:

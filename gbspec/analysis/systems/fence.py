@@ -2,8 +2,8 @@
 
 Arguments are scaled by the width of their trained range. The limit is the distance at which the data themselves lie
 from each other: the one within which 95 % of the training arguments have one of another trajectory, but neither less
-than a fiftieth of the diagonal of the box nor more than a tenth of it; and at least half the distance between two rows
-of a trajectory, since its solution passes through the places between them.
+than a fiftieth of the diagonal of the box nor more than a tenth of it; and at least half the distance between two
+successive ones of a trajectory, since its solution passes through the places between them.
 
 Measured on three fits of `lotka_volterra` (12 trajectories, 5 % noise), at random points of the box extended by 15 %,
 in units of the function's standard deviation over the data: the error that one point in twenty exceeds is 0.09 at less

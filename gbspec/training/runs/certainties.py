@@ -4,13 +4,14 @@ trained."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, network_arguments
-from gbspec.data import evenly_spaced
+from gbspec.data import Trajectories, Trajectory, evenly_spaced
 from gbspec.runs import Certainties, Covariance, Support
 from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import covariance
@@ -20,6 +21,9 @@ from gbspec.training.runs.summary import whole_solutions
 
 POINTS = 2000
 """The most points that are kept for a network."""
+BETWEEN = 3
+"""Times between two rows, and between the start and the first row, at which networks are looked at too: solutions pass
+there, and inputs change."""
 
 
 def certainties(
@@ -35,11 +39,42 @@ def certainties(
     marginal = context.model.marginal
     blend = 0.0 if marginal or whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
-    return Certainties(of_population if marginal else covariance(engine, theta), support(engine, theta, member))
+    known = of_population if marginal else covariance(engine, theta)
+    if member.networks and engine.problem.packed.rows < POINTS:
+        dense = replace(context, trajectories=_dense(context.trajectories), _packed={})
+        engine = dense.engine(parameters, blend, step_fraction(stages))
+    return Certainties(known, support(engine, theta, member))
+
+
+def _dense(trajectories: Trajectories) -> Trajectories:
+    """The trajectories with rows without measurements between theirs."""
+    return replace(trajectories, items=tuple(_with_times_between(item) for item in trajectories.items))
+
+
+def _with_times_between(item: Trajectory) -> Trajectory:
+    ends = np.unique(np.concatenate([[item.start], item.times[item.times >= item.start]]))
+    shares = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
+    more = np.concatenate([ends[:1], (ends[:-1, None] + np.diff(ends)[:, None] * shares).ravel()])
+    times = np.union1d(item.times, more)
+    place = np.searchsorted(times, item.times)
+
+    def spread(table: Array, empty: float) -> Array:
+        out = np.full((len(times), table.shape[1]), empty)
+        out[place] = table
+        return out
+
+    return replace(
+        item,
+        times=times,
+        values=spread(item.values, np.nan),
+        counts=spread(item.counts, 0.0),
+        sd=spread(item.sd, np.nan),
+        limits=None,
+    )
 
 
 def support(engine: Engine, theta: Array, member: GeneratedModule) -> dict[str, Support]:
-    """For each network the arguments with which it is called at the measured rows, at most `POINTS` of them."""
+    """For each network the arguments with which it is called at the rows of the problem, at most `POINTS` of them."""
     if not member.networks:
         return {}
     moments = predicted(engine, theta)
