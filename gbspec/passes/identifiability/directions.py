@@ -24,7 +24,7 @@ SMALL = 1e-8
 MOST_COLUMNS = 1200
 ORDERS = range(1, 6)
 MOST_ORDERS = 15
-"""The highest order where constants are far from what is observed."""
+"""The highest order, where constants are far from what is observed or low orders tell nothing."""
 PROBED = 1e-6
 """A made-up term of which a smaller fraction is left counts as compensated."""
 DECOMPOSITION = 0.5
@@ -71,7 +71,7 @@ def find(question: Question, effort: Effort) -> Directions | None:
     past: list[Directions] = []
     branches = Branches(question)
     order, silent = 0, 0
-    while (order := order + 1) <= last + silent:
+    while (order := order + 1) <= min(last + silent, MOST_ORDERS):
         large = size(question, order) > MOST_COLUMNS
         found = None if large else at_order(question, order, effort, branches)
         if found is None:

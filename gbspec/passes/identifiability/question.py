@@ -101,13 +101,13 @@ class Question:
 
     @cached_property
     def probed(self) -> frozenset[int]:
-        """The states whose rate has no unknown function of all states and conditions.
+        """The states whose rate has no unknown function of all states and of all conditions that expansions vary.
 
         Such a function compensates whatever may stand beside it, however many derivatives are known; along a single
-        trajectory a function of time alone does so too.
+        trajectory a function of time alone does so too. Categories are not varied.
         """
         model = self.model
-        every = {s.symbol for s in model.states} | {c.symbol for c in model.conditions}
+        every = {s.symbol for s in model.states} | {c.symbol for c in model.conditions if not c.categories}
         if self.alone:
             every = {model.time.symbol}
         free = {a.value for a in self.applications if every <= {s for e in a.arguments for s in e.free_symbols}}

@@ -110,14 +110,18 @@ class Algebra:
 
     # ------------------------------------------------------------------------------------------ elementary functions
 
+    @cached_property
+    def _factorials(self) -> Array:
+        """0!, 1!, ..., order!; as real numbers, since 21! is more than a whole number of 64 bits can be."""
+        return np.cumprod([1.0, *range(1, self.order + 1)])
+
     def _taylor(self, values: Array, coefficients: Callable[[float], list[float]]) -> Array:
         flat = [[float(c) for c in coefficients(float(v))] for v in np.ravel(values)]
         return np.reshape(np.array(flat), (*np.shape(values), self.order + 1))
 
     def exp(self, a: Array) -> Array:
         """e^a."""
-        factorials = np.array([math.factorial(k) for k in range(self.order + 1)])
-        return self.compose(np.exp(a[..., :1]) / factorials, a)
+        return self.compose(np.exp(a[..., :1]) / self._factorials, a)
 
     def power(self, a: Array, exponent: float) -> Array:
         """a^exponent for a real exponent."""
@@ -139,8 +143,8 @@ class Algebra:
 
     def wave(self, a: Array, shift: int) -> Array:
         """sin (shift 0) or cos (shift 1)."""
-        terms = [np.sin(a[..., 0] + (k + shift) * math.pi / 2) / math.factorial(k) for k in range(self.order + 1)]
-        return self.compose(np.stack(terms, axis=-1), a)
+        quarters = math.pi / 2 * (shift + np.arange(self.order + 1))
+        return self.compose(np.sin(a[..., :1] + quarters) / self._factorials, a)
 
     def general(self, name: str, a: Array) -> Array:
         """Any other function of one argument, its Taylor coefficients by mpmath."""
