@@ -40,17 +40,37 @@ class Branches:
     def __init__(self, question: Question) -> None:
         self.question = question
         found: set[Expr] = set()
-        for expression in self._expressions:
+        for expression in self.expressions:
             found |= expression.atoms(*_KINDS)
         self.atoms = tuple(sorted(found, key=sympy.default_sort_key))
         self._numbers = {atom: k for k, atom in enumerate(self.atoms)}
 
     @property
-    def _expressions(self) -> Iterator[Expr]:
+    def expressions(self) -> Iterator[Expr]:
+        """All expressions of the question."""
         question = self.question
         yield from (*question.rates, *question.outputs, *(start for start in question.starts if start is not None))
         for application in question.applications:
             yield from application.arguments
+
+    @cached_property
+    def deciding(self) -> tuple[frozenset[sympy.Symbol], ...]:
+        """For each atom the symbols that its choice depends on."""
+        return tuple(frozenset(_decided_by(atom)) for atom in self.atoms)
+
+    @cached_property
+    def signals(self) -> frozenset[sympy.Symbol]:
+        """The conditions and inputs, and the time where any state may come at any time, that choices depend on.
+
+        Trajectories at the same states may differ in them; along a single trajectory there is nothing beside it.
+        """
+        question, model = self.question, self.question.model
+        if question.alone:
+            return frozenset()
+        free = {s.symbol for s in (*model.conditions, *model.inputs)}
+        if model.time.start is None or all(start is None for start in question.starts):
+            free.add(model.time.symbol)
+        return frozenset(free & {symbol for symbols in self.deciding for symbol in symbols})
 
     # ---------------------------------------------------------------- points
     def choices(self, points: Points, count: int) -> list[Choice | None]:
@@ -123,6 +143,11 @@ class Branches:
                     yield other
                 told.add(other)
 
+    def by_signals(self, choice: Choice, reached: Sequence[Choice]) -> bool:
+        """Whether signals have a part in what no point has shown of a choice."""
+        new = [k for k, number in enumerate(choice) if all(number != shown[k] for shown in reached)]
+        return any(self.deciding[k] & self.signals for k in new)
+
     def _not_shown(self, k: int, atom: Expr, reached: Sequence[Choice]) -> list[int]:
         """The arguments or branches of an atom that no point has shown and that the ranges do not exclude."""
         if isinstance(atom, _PIECES):
@@ -161,6 +186,12 @@ def evaluated(points: Points, count: int) -> Evaluation:
     algebra = Algebra(0, 0)
     table = {name: algebra.constant(np.broadcast_to(np.asarray(value), count)) for name, value in points.items()}
     return Evaluation(algebra, table, count)
+
+
+def _decided_by(atom: Expr) -> set[sympy.Symbol]:
+    """The symbols that the choice of an atom depends on."""
+    deciding = [condition for _, condition in atom.args] if isinstance(atom, sympy.Piecewise) else atom.args
+    return {symbol for part in deciding for symbol in part.free_symbols}
 
 
 def _part(atom: Lookup, values: Array) -> Array:

@@ -12,7 +12,7 @@ import sympy
 from gbspec.arrays import Array
 from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.generators import moved
-from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, size
+from gbspec.passes.identifiability.jets import Base, LinearSystem, size, system_at
 from gbspec.passes.identifiability.points import bases_of
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.reach import Reach
@@ -118,7 +118,7 @@ def at_order(
         scales = np.array([abs(base.constants[k.symbol]) or 1.0 for k in question.sought])
         try:
             with np.errstate(all="ignore"):
-                system = Jet(base, algebra, lines, rng).system()
+                system = system_at(base, algebra, lines, rng)
             rows, columns = system.matrix.shape
             algebra.effort.spend(DECOMPOSITION * rows * columns * min(rows, columns))
         except OutOfEffortError:
@@ -260,7 +260,7 @@ def _loose(systems: Sequence[LinearSystem]) -> tuple[tuple[str, ...], tuple[str,
         rank = int(np.sum(values > SMALL * values[0])) if values.size else 0
         moves = np.max(np.abs(right[rank:]), axis=0, initial=0.0) > 1e-5
         unknowns = {germ.unknown for germ in system.germs if moves[germ.column - system.constants]}
-        single = {name for name, column in system.own.items() if moves[column - system.constants]}
+        single = {name for name, columns in system.own.items() if all(moves[c - system.constants] for c in columns)}
         functions, own = (functions & unknowns, own & single) if k else (unknowns, single)
     return tuple(sorted(functions)), tuple(sorted(own))
 
@@ -268,7 +268,7 @@ def _loose(systems: Sequence[LinearSystem]) -> tuple[tuple[str, ...], tuple[str,
 def absorbers(directions: Directions, direction: Array) -> set[str]:
     """The unknowns, and constants of each trajectory, that must change along a direction of the constants."""
     names: set[str] = set()
-    for system in directions.systems:
+    for system in _telling(directions):
         constants, others = system.matrix[:, : system.constants], system.matrix[:, system.constants :]
         if not others.shape[1]:
             continue
@@ -277,7 +277,15 @@ def absorbers(directions: Directions, direction: Array) -> set[str]:
             first = germ.column - system.constants
             if np.max(np.abs(answer[first : first + 1 + len(germ.base)])) > 1e-4 * np.max(np.abs(direction)):
                 names.add(germ.unknown)
-        for name, column in system.own.items():
-            if abs(answer[column - system.constants]) > 1e-4 * np.max(np.abs(direction)):
+        for name, columns in system.own.items():
+            if max(abs(answer[c - system.constants]) for c in columns) > 1e-4 * np.max(np.abs(direction)):
                 names.add(name)
     return names
+
+
+def _telling(directions: Directions) -> list[LinearSystem]:
+    """The systems of all formulas, without those of single points whose formulas one of several trajectories has."""
+    several = [base for base in directions.bases if base.beside and base.certain]
+    told = {each.question.rates for base in several for each in (base, *base.beside)}
+    pairs = zip(directions.bases, directions.systems, strict=True)
+    return [system for base, system in pairs if base.beside or base.question.rates not in told]

@@ -50,7 +50,7 @@ def exact(question: Question, kind: Kind) -> list[dict[Key, Fraction]]:
     rows: list[Array] = []
     for _ in range(ROUNDS):
         for base in bases_of(free, branches, rng):
-            if base.certain:
+            if base.certain and not base.beside:  # trajectories beside others have base points of their own too
                 values = {**base.variables, **base.constants}
                 values |= {a.value: float(rng.uniform(0.3, 2.0)) for a in question.applications}
                 rows += list(_conditions(question, base.question, keys, kind, values))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import comb
 
@@ -67,6 +67,8 @@ class Base:
     certain: bool = True
     tempo: float = 1.0
     """The unit of time of the series: about the time in which states change by their widths."""
+    beside: tuple[Base, ...] = ()
+    """Other trajectories at the same arguments of unknowns, for which conditions or inputs choose other formulas."""
 
 
 @dataclass
@@ -79,8 +81,8 @@ class LinearSystem:
     starts: dict[str, int]
     """The first column of each unmeasured initial value, a polynomial in `parameters` minus their base values."""
     parameters: list[sympy.Symbol]
-    own: dict[str, int]
-    """The first column of each constant with a value per trajectory."""
+    own: dict[str, tuple[int, ...]]
+    """The first column of each constant with a value per trajectory, for each trajectory beside the base point too."""
     sizes: Array
     """The natural size of each column's quantity: of a constant its value, of an initial value its width."""
     probes: Array
@@ -94,7 +96,6 @@ class Columns:
     """Allocates columns; the constants have the first ones."""
 
     count: int
-    free: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def take(self, number: int) -> int:
         """The first of `number` new columns."""
@@ -103,7 +104,7 @@ class Columns:
 
 
 class Jet:
-    """The expansion of a question at one base point."""
+    """The expansion of a question at one base point; the functions are those of the expansion that it is `beside`."""
 
     def __init__(
         self,
@@ -111,6 +112,7 @@ class Jet:
         algebra: Algebra,
         lines: int,
         rng: np.random.Generator,
+        beside: Jet | None = None,
     ) -> None:
         question = base.question
         self._question, self._algebra, self._lines = question, algebra, lines
@@ -118,8 +120,9 @@ class Jet:
         self._states = [s.symbol for s in model.states]
         self._base = base
         self._rng = rng
-        self.germs: list[Germ] = []
-        self._columns = Columns(len(question.sought))
+        self.germs: list[Germ] = [] if beside is None else beside.germs
+        self._columns: Columns = Columns(len(question.sought)) if beside is None else beside._columns
+        self._own_columns: dict[tuple[str, str], int] = {}
         self._parameters = [s for s, start in zip(self._states, question.starts, strict=True) if start is None]
         self._parameters += [c.symbol for c in model.conditions]
         if question.uses_time and model.time.start is None:
@@ -129,7 +132,7 @@ class Jet:
         self._parameters += [i.symbol for i in model.inputs] + [d.amount for d in question.doses]
         # Steps that follow each other fast come as close to a slope as one likes, so that held inputs have one too.
         self._slopes = [i.symbol for i in model.inputs]
-        self._probes = self._columns.take(len(self._states))
+        self._probes: int = self._columns.take(len(self._states)) if beside is None else beside._probes
         self._made: dict[int, Array] = {}
         variables = len(self._states) + len(model.conditions)
         self._factors = np.random.default_rng(variables).uniform(0.5, 1.5, (len(self._states), variables))
@@ -140,8 +143,8 @@ class Jet:
 
     # -------------------------------------------------------------------------------------------------------- values
 
-    def system(self) -> LinearSystem:
-        """All residuals at this base point. Raises `OutOfEffortError` when the algebra's effort is spent."""
+    def residuals(self) -> list[Array]:
+        """All residuals at this base point; raises `OutOfEffortError` when the algebra's effort is spent."""
         starts = self._after_doses(self._start_values())
         values = dict(starts)
         for _ in range(self._algebra.time_order + 1):
@@ -150,32 +153,37 @@ class Jet:
             values.update(
                 (state, starts[state] + self._integral(rate)) for state, rate in zip(self._states, rates, strict=True)
             )
-        evaluation = self._evaluation(values)
-        rows = [row for row in self._residuals(evaluation) if row.size]
+        return [row for row in self._residuals(self._evaluation(values)) if row.size]
+
+    def system(self, others: Sequence[Jet] = ()) -> LinearSystem:
+        """The residuals at this base point and of the expansions beside it."""
+        rows = [row for jet in (self, *others) for row in jet.residuals()]
         width = self._columns.count
         padded = [np.concatenate([r, np.zeros((width - r.shape[0], r.shape[1]))]) for r in rows]
         matrix = np.concatenate(padded, axis=1).T if padded else np.zeros((0, width))
-        first: dict[str, dict[str, int]] = {"start": {}, "own": {}}
-        for (kind, name), column in self._columns.free.items():
-            first[kind][name] = column
-        parameters = self._parameters[: self._lasting]
         constants, made_up = len(self._question.sought), slice(self._probes, self._probes + len(self._states))
         probes = matrix[:, made_up].copy()
         matrix[:, made_up] = 0.0
-        begun, own, sizes = first["start"], first["own"], self._sizes()
+        sizes = np.ones(width)
+        sizes[:constants] = [abs(self._base.constants[k.symbol]) or 1.0 for k in self._question.sought]
+        own: dict[str, tuple[int, ...]] = {}
+        for jet in (self, *others):
+            jet._enter_sizes(sizes)
+            for (kind, name), column in jet._own_columns.items():
+                if kind == "own":
+                    own[name] = (*own.get(name, ()), column)
+        begun = {name: column for (kind, name), column in self._own_columns.items() if kind == "start"}
+        parameters = self._parameters[: self._lasting]
         return LinearSystem(matrix, self.germs, constants, begun, parameters, own, sizes, probes, self._base.certain)
 
-    def _sizes(self) -> Array:
-        """The natural sizes of what the columns change: 1 for coefficients of germs, which are of that size."""
+    def _enter_sizes(self, sizes: Array) -> None:
+        """Enters the natural sizes of what is free for each trajectory; that of coefficients of germs is 1."""
         base, question = self._base, self._question
-        sizes = np.ones(self._columns.count)
-        sizes[: len(question.sought)] = [abs(base.constants[k.symbol]) or 1.0 for k in question.sought]
         count = len(monomials(self._lasting, self._algebra.order))
         of = {"start": {s.name: base.widths[s.symbol] for s in question.model.states}}
         of["own"] = {k.name: abs(base.constants[k.symbol]) for k in question.own}
-        for (kind, name), column in self._columns.free.items():
+        for (kind, name), column in self._own_columns.items():
             sizes[column : column + count] = of[kind][name] or 1.0
-        return sizes
 
     def _start_values(self) -> dict[sympy.Symbol, Array]:
         algebra, model = self._algebra, self._question.model
@@ -352,9 +360,9 @@ class Jet:
         """
         along = self._unit[:, : self._lasting] * (self._widths[: self._lasting] > 0)
         exponents = monomials(self._lasting, self._algebra.order)
-        column = self._columns.free.get((kind, name))
+        column = self._own_columns.get((kind, name))
         if column is None:
-            column = self._columns.free[kind, name] = self._columns.take(len(exponents))
+            column = self._own_columns[kind, name] = self._columns.take(len(exponents))
         result = self._zero()
         for k, exponent in enumerate(exponents):
             factor = np.prod(along ** np.array(exponent), axis=1)
@@ -416,6 +424,12 @@ class Jet:
             if symbol in present and np.any(change):
                 total = self._sum(total, algebra.times(evaluation(derivative(e, symbol)), change))
         return total
+
+
+def system_at(base: Base, algebra: Algebra, lines: int, rng: np.random.Generator) -> LinearSystem:
+    """The system at a base point and for the trajectories beside it."""
+    first = Jet(base, algebra, lines, rng)
+    return first.system([Jet(other, algebra, lines, rng, first) for other in base.beside])
 
 
 def size(question: Question, order: int) -> int:

@@ -2,26 +2,28 @@
 
 A point has values of all variables (states, conditions, inputs, amounts of doses, time) and of the constants, which are
 the same at every point of one order. Points at known values of unknowns, and points at which two applications of one
-have equal arguments, tie what would else be independent. Branches that no point of the ranges shows, and that the
-ranges do not exclude, get points that are not certain: they may raise a doubt about what others say, never decide.
+have equal arguments, tie what would else be independent. Where conditions or inputs choose among formulas, points with
+different formulas and equal arguments are expanded together: several trajectories show one and the same function.
+Branches that no point of the ranges shows, and that the ranges do not exclude, get points that are not certain: they
+may raise a doubt about what others say, never decide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 import sympy
 
 from gbspec.arrays import Array
-from gbspec.ir import Condition, Expr, Input, Range
-from gbspec.passes.identifiability.branches import Branches, Choice, evaluated
+from gbspec.ir import Condition, Input, Range
+from gbspec.passes.identifiability.branches import Branches, Choice
 from gbspec.passes.identifiability.jets import Base
 from gbspec.passes.identifiability.question import Question
-from gbspec.passes.identifiability.series import Algebra, Evaluation
+from gbspec.passes.identifiability.starts import before_dose, begin, values_of
+from gbspec.passes.identifiability.ties import agreed, ties
 
 CANDIDATES = 600
 """Points drawn in search of branches."""
@@ -29,14 +31,17 @@ CANDIDATES = 600
 FEW = 16
 """Points drawn where there are none: the first at which all expressions have values is taken."""
 
+MOST_SPECIAL = 12
+"""The maximal number of values of a condition or an input by the numbers that it is compared with."""
+
 MOST_CHOICES = 10
 """The maximal number of combinations of branches that get a point of their own."""
 
 MOST_UNREACHED = 40
 """The maximal number of combinations with branches that no point has shown."""
 
-MOST_TIES = 6
-"""The maximal number of points at which applications agree or vanish."""
+MOST_BESIDE = 5
+"""The maximal number of base points beside another one; where there are more, they come in several parts."""
 
 
 @dataclass(frozen=True)
@@ -65,23 +70,87 @@ def bases_of(question: Question, branches: Branches, rng: np.random.Generator) -
     kept = _kept(list(first))
     for choice in kept:
         yield _base(branches.resolved(choice), drawn, first[choice], constants)
+    if branches.signals:
+        yield from _together(question, branches, drawn, {choice: first[choice] for choice in kept}, constants)
     start = first.get(generic, 0)
-    yield from _ties(question, branches, _base(question, drawn, start, constants))
-    for choice in islice(branches.unreached(kept or [generic]), MOST_UNREACHED):
-        yield _base(branches.resolved(choice), drawn, start, constants, certain=False)
-    if question.signals and any(given is not None for given in question.starts):
+    yield from ties(question, branches, _base(question, drawn, start, constants))
+    shown = kept or [generic]
+    for choice in islice(branches.unreached(shown), MOST_UNREACHED):
+        doubt = _base(branches.resolved(choice), drawn, start, constants, certain=False)
+        yield doubt
+        if branches.by_signals(choice, shown):
+            yield replace(doubt, beside=(_base(branches.resolved(generic), drawn, start, constants),))
+    if (question.signals or branches.signals) and any(given is not None for given in question.starts):
         yield from _later(question, constants, rng)
 
 
 def _later(question: Question, constants: dict[sympy.Symbol, float], rng: np.random.Generator) -> Iterator[Base]:
-    """A point at a later time: signals that change may lead from a known start to states that constant ones do not."""
+    """Points at a later time: signals that change may lead from a known start to states that constant ones do not, and
+    trajectories with other formulas to the same states."""
     free = replace(question, starts=(None,) * len(question.starts))
     branches = Branches(free)
-    drawn = _draw(free, constants, FEW, rng)
-    for index, choice in enumerate(branches.choices(drawn.values, FEW)):
+    count = CANDIDATES if branches.signals else FEW
+    drawn = _draw(free, constants, count, rng)
+    first: dict[Choice, int] = {}
+    for index, choice in enumerate(branches.choices(drawn.values, count)):
         if choice is not None:
-            yield _base(branches.resolved(choice), drawn, index, constants, certain=False)
-            return
+            first.setdefault(choice, index)
+    for choice in islice(first, 1 if question.signals else 0):
+        yield _base(branches.resolved(choice), drawn, first[choice], constants, certain=False)
+    if branches.signals:
+        kept = {choice: first[choice] for choice in _kept(list(first))}
+        for base in _together(free, branches, drawn, kept, constants):
+            yield replace(base, certain=False)
+
+
+def _together(
+    question: Question,
+    branches: Branches,
+    drawn: _Drawn,
+    first: Mapping[Choice, int],
+    constants: dict[sympy.Symbol, float],
+) -> Iterator[Base]:
+    """Base points with those beside them: the same functions, seen by trajectories with other formulas."""
+    told: set[frozenset[Choice]] = set()
+    for choice, index in first.items():
+        base = _base(branches.resolved(choice), drawn, index, constants)
+        others = _others(question, branches, drawn, index, constants)
+        others.pop(choice, None)
+        every = frozenset((choice, *others))
+        if not others or every in told:
+            continue
+        told.add(every)
+        yield from (other for found, other in others.items() if found not in first)
+        beside = [each for other in others.values() for each in agreed(question, branches, base, other)]
+        for k in range(0, len(beside), MOST_BESIDE):
+            yield replace(base, beside=tuple(beside[k : k + MOST_BESIDE]))
+
+
+def _others(
+    question: Question, branches: Branches, drawn: _Drawn, index: int, constants: dict[sympy.Symbol, float]
+) -> dict[Choice, Base]:
+    """A base point for each choice of formulas that other conditions and inputs make at the states of a point; such
+    that unknowns do not depend on them first."""
+    inside = {symbol for a in question.applications for argument in a.arguments for symbol in argument.free_symbols}
+    found: dict[Choice, Base] = {}
+    for varied in dict.fromkeys((branches.signals - inside, branches.signals)):
+        values = {
+            symbol: value if symbol in varied else np.full(len(value), value[index])
+            for symbol, value in drawn.values.items()
+        }
+        for dose in question.doses:
+            state = question.model.states[dose.state].symbol
+            values[state] = values[before_dose(state)]
+        begin(question, values)
+        widths = {
+            symbol: width if symbol in varied else np.full(len(width), width[index])
+            for symbol, width in drawn.widths.items()
+        }
+        there = _Drawn(values, widths)
+        for k, choice in enumerate(branches.choices(values, len(values[question.model.time.symbol]))):
+            if choice is not None and choice not in found:
+                found[choice] = _base(branches.resolved(choice), there, k, constants)
+    return found
 
 
 def _kept(choices: Sequence[Choice]) -> list[Choice]:
@@ -109,7 +178,7 @@ def _draw(question: Question, constants: Mapping[sympy.Symbol, float], count: in
     model = question.model
     values: dict[sympy.Symbol, Array] = {s: np.full(count, v) for s, v in constants.items()}
     widths: dict[sympy.Symbol, Array] = {}
-    special = _special(question)
+    special = _compared(question)
     signals: tuple[Condition | Input, ...] = (*model.conditions, *model.inputs)
     for item in signals:
         values[item.symbol], widths[item.symbol] = _column(item.range, item.default, count, rng)
@@ -119,8 +188,10 @@ def _draw(question: Question, constants: Mapping[sympy.Symbol, float], count: in
                 0 * values[item.symbol],
             )
             continue
-        for k, number in enumerate(special.get(item.symbol, ())):
-            values[item.symbol][k + 1 :: 4], widths[item.symbol][k + 1 :: 4] = number, 0.0
+        numbers = special.of(item)
+        step = max(4, len(numbers) + 1)
+        for k, (number, width) in enumerate(numbers):
+            values[item.symbol][k + 1 :: step], widths[item.symbol][k + 1 :: step] = number, width
     for dose in question.doses:
         given = model.states[dose.state].range
         size = given.high - max(given.low, 0.0) if given is not None and given.bounded else 2.0
@@ -134,37 +205,10 @@ def _draw(question: Question, constants: Mapping[sympy.Symbol, float], count: in
         values[time] = model.time.start + later * np.abs(values[time])
     for application in question.applications:
         values[application.value] = rng.uniform(0.2, 2.0, count) * rng.choice([1.0, 1.0, -1.0], count)
-    for state, start in zip(model.states, question.starts, strict=True):
+    for state in model.states:
         values[state.symbol], widths[state.symbol] = _column(state.range, state.start, count, rng)
-        if start is not None:
-            values.pop(state.symbol)
-    _follow(question, values)
-    for dose in question.doses:
-        symbol = model.states[dose.state].symbol
-        added = _values(dose.fraction * dose.amount, values)
-        values[_before(symbol)] = values[symbol]
-        values[symbol] = values[symbol] + added
+    begin(question, values)
     return _Drawn(values, widths)
-
-
-def _before(symbol: sympy.Symbol) -> sympy.Symbol:
-    """The symbol of a state before a dose."""
-    return sympy.Symbol(f"{symbol.name} before a dose", real=True)
-
-
-def _follow(question: Question, values: dict[sympy.Symbol, Array]) -> None:
-    """Adds the states whose start is an expression."""
-    pairs = zip(question.model.states, question.starts, strict=True)
-    waiting = {state.symbol: start for state, start in pairs if start is not None}
-    while waiting:
-        for symbol in [s for s, e in waiting.items() if not e.free_symbols & set(waiting)]:
-            values[symbol] = _values(waiting.pop(symbol), values)
-
-
-def _values(expression: Expr, values: Mapping[sympy.Symbol, Array]) -> Array:
-    count = len(next(iter(values.values())))
-    with np.errstate(all="ignore"):  # where an expression has no value, the point is left out later
-        return evaluated(values, count)(expression)[..., 0]
 
 
 def _column(given: Range | None, guess: float | None, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -186,16 +230,37 @@ def _column(given: Range | None, guess: float | None, count: int, rng: np.random
     return values, np.abs(values)
 
 
-def _special(question: Question) -> dict[sympy.Symbol, list[float]]:
-    """Numbers with which a condition or an input is compared for equality, as with the number of a category."""
-    found: dict[sympy.Symbol, list[float]] = {}
-    for expression in (*question.rates, *question.outputs):
-        for equality in expression.atoms(sympy.Eq, sympy.Ne):
-            for one, other in (equality.args, equality.args[::-1]):
-                if one.is_Symbol and other.is_number:
-                    numbers = found.setdefault(one, [])
-                    if float(other) not in numbers and len(numbers) < 3:
-                        numbers.append(float(other))
+@dataclass(frozen=True)
+class _Compared:
+    """The numbers that conditions and inputs are compared with: for equality, as with that of a category, or as
+    thresholds."""
+
+    equal: dict[sympy.Symbol, set[float]]
+    thresholds: dict[sympy.Symbol, set[float]]
+
+    def of(self, item: Condition | Input) -> list[tuple[float, float]]:
+        """Values with widths: the numbers themselves, and the middles of what thresholds divide the range into."""
+        found = [(number, 0.0) for number in sorted(self.equal.get(item.symbol, ()))]
+        low, high = (-np.inf, np.inf) if item.range is None else (item.range.low, item.range.high)
+        inside = sorted(t for t in self.thresholds.get(item.symbol, ()) if low < t < high)
+        if inside:
+            below, above = (abs(t) or 1.0 for t in (inside[0], inside[-1]))
+            ends = [max(low, inside[0] - below), *inside, min(high, inside[-1] + above)]
+            found += [((a + b) / 2, (b - a) / 4) for a, b in pairwise(ends)]
+        return found[:MOST_SPECIAL]
+
+
+def _compared(question: Question) -> _Compared:
+    """The comparisons of single symbols with known numbers."""
+    found = _Compared({}, {})
+    known = {c.symbol: sympy.Float(c.value) for c in question.model.constants}
+    for expression in Branches(question).expressions:
+        for comparison in expression.atoms(sympy.core.relational.Relational):
+            table = found.equal if isinstance(comparison, sympy.Eq | sympy.Ne) else found.thresholds
+            for one, other in (comparison.args, comparison.args[::-1]):
+                number = other.xreplace(known)
+                if one.is_Symbol and number.is_number:
+                    table.setdefault(one, set()).add(float(number))
     return found
 
 
@@ -213,98 +278,12 @@ def _base(
     if model.time.start is None:
         others.append(model.time.symbol)
     for symbol in (*free, *others, model.time.symbol):
-        before = drawn.values.get(_before(symbol))
+        before = drawn.values.get(before_dose(symbol))
         variables[symbol] = float((drawn.values[symbol] if before is None else before)[index])
     for symbol in (*(s.symbol for s in model.states), *others):
         widths[symbol] = float(drawn.widths[symbol][index])
     here = {symbol: value[index : index + 1] for symbol, value in drawn.values.items()}
-    rates = [abs(float(rate)) for rate in np.ravel([_values(rate, here) for rate in question.rates])]
+    rates = [abs(float(rate)) for rate in np.ravel([values_of(rate, here) for rate in question.rates])]
     quick = [r / widths[s.symbol] for r, s in zip(rates, model.states, strict=True) if widths[s.symbol] > 0]
     tempo = 1 / max(quick) if quick and 0 < max(quick) < np.inf else 1.0
     return Base(variables, constants, widths, question, certain, tempo)
-
-
-# ------------------------------------------------------------------------------------------------------ special points
-
-
-def _ties(question: Question, branches: Branches, generic: Base) -> Iterator[Base]:
-    """Points at known values of unknowns, and points at which two applications have equal arguments."""
-    pairs: list[tuple[Sequence[Expr], Sequence[Expr]]] = []
-    for application in question.applications:
-        pairs += [([application.arguments[r]], [place]) for r, place, _ in application.known]
-    for i, first in enumerate(question.applications):
-        for second in question.applications[:i]:
-            if first.unknown == second.unknown and len(pairs) < MOST_TIES:
-                pairs.append((first.arguments, second.arguments))
-    amounts = {dose.amount for dose in question.doses}
-    undosed = replace(generic, variables={**generic.variables, **dict.fromkeys(amounts, 0.0)})
-    for one, other in pairs:
-        base = _agreeing(question, one, other, undosed, frozenset(amounts))
-        if base is None and amounts:
-            base = _agreeing(question, one, other, generic)
-        if base is not None:
-            yield _with_branches(question, branches, base)
-
-
-def _with_branches(question: Question, branches: Branches, base: Base) -> Base:
-    """The base with the formulas that hold at it."""
-    values = {s: np.full(1, v) for s, v in (*base.constants.items(), *base.variables.items())}
-    values.update((a.value, np.ones(1)) for a in question.applications)
-    _follow(question, values)
-    (choice,) = branches.choices(values, 1)
-    here = question if choice is None else branches.resolved(choice)
-    return Base(base.variables, base.constants, base.widths, here, base.certain, base.tempo)
-
-
-def _agreeing(
-    question: Question,
-    first: Sequence[Expr],
-    second: Sequence[Expr],
-    generic: Base,
-    held: AbstractSet[sympy.Symbol] = frozenset(),
-) -> Base | None:
-    """A point where expressions have the same values after doses, by Newton's method with minimum-norm steps; variables
-    that are `held` stay."""
-    values = {a.value for a in question.applications}
-    expressions = [*first, *second]
-    if any(e.free_symbols & values for e in expressions):
-        return None
-    clock = question.model.time.symbol
-    names = [n for n in generic.variables if n not in held and (n != clock or question.model.time.start is None)]
-    if not names and not held:  # everything is given: no other point exists
-        return None
-    sizes = np.array([generic.widths.get(n) or 1e-9 for n in names])
-    point = np.array([generic.variables[n] for n in names])
-    algebra = Algebra(0, 0)
-
-    def gap(at: Array) -> Array:
-        given = {**generic.variables, **dict(zip(names, at, strict=True)), **generic.constants}
-        table = {n: algebra.constant(np.array([v])) for n, v in given.items()}
-        for state, start in zip(question.model.states, question.starts, strict=True):
-            if start is not None and start.free_symbols <= set(table):
-                table[state.symbol] = Evaluation(algebra, table, 1)(start)
-        before = Evaluation(algebra, dict(table), 1)
-        for dose in question.doses:
-            dosed = question.model.states[dose.state].symbol
-            table[dosed] = table[dosed] + before(dose.fraction * dose.amount)
-        evaluation = Evaluation(algebra, table, 1)
-        found = [float(evaluation(e)[0, 0]) for e in expressions]
-        half = len(found) // 2
-        return np.asarray(np.array(found[:half]) - np.array(found[half:]))
-
-    try:
-        for _ in range(20):
-            here = gap(point)
-            if np.max(np.abs(here)) < 1e-13 * max(1.0, float(np.max(np.abs(point), initial=0.0))):
-                variables = {**generic.variables, **dict(zip(names, map(float, point), strict=True))}
-                return Base(variables, generic.constants, generic.widths, generic.question, True, generic.tempo)
-            if not names:
-                return None
-            steps = 1e-7 * sizes
-            slope = np.stack(
-                [(gap(point + h * e) - here) / 1e-7 for h, e in zip(steps, np.eye(len(names)), strict=True)], axis=1
-            )
-            point = point - sizes * (np.linalg.pinv(slope) @ here)
-    except (KeyError, np.linalg.LinAlgError):
-        return None
-    return None

@@ -106,6 +106,8 @@ def transformations(question: Question, directions: Directions) -> list[Symmetry
         keys = _keys(question, directions, kind)
         blocks = []
         for system, base in zip(directions.systems, directions.bases, strict=True):
+            if base.beside:  # each of these trajectories has a base point of its own too
+                continue
             generators = np.stack([_column(question, system, base, key, kind) for key in keys], axis=1)
             blocks.append(system.matrix @ generators)
         found += [Symmetry(kind, weights, formals) for weights in rational_null(np.concatenate(blocks), keys)]
