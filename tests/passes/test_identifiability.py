@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.cli.commands.check import examination_summary
 from gbspec.diagnostics import Findings
-from gbspec.passes.identifiability import by_one_trajectory, identifiability
+from gbspec.passes import Examination, examine
+from gbspec.passes.identifiability import Identifiability, by_one_trajectory, identifiability
 from gbspec.passes.identifiability.directions import absorbers, find
 from gbspec.passes.identifiability.question import pose
 from gbspec.passes.identifiability.report import BUDGET
@@ -163,6 +165,23 @@ def test_what_the_ranges_do_not_decide_is_said_to_be_undecided(name: str) -> Non
     found = identifiability(model_of("model m\n" + text), findings, budget=2e9)
     assert (found.decided, found.sets, list(findings)) == (False, (), [])
     assert found.doubtful
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (UNDECIDED["rates that differ by fifteen decades"][0], "for slow: effects on what is observed are too small"),
+        (UNDECIDED["overflow that a known start may reach"][0], "for r: it depends on which branches and values the"),
+    ],
+)
+def test_the_reason_for_which_it_is_undecided_is_that_of_the_model(text: str, reason: str) -> None:
+    summary = examination_summary(examine(model_of("model m\n" + text), Findings()))
+    assert f"identifiability of the learned constants could not be decided {reason}" in summary
+
+
+def test_no_branches_are_named_where_there_are_none() -> None:
+    examination = Examination((), Identifiability(False, doubtful=("b",)), False)
+    assert examination_summary(examination).endswith("decided for b: it depends on which values the data reach\n")
 
 
 def test_the_infusion_of_the_language_s_page_is_identifiable() -> None:

@@ -109,14 +109,25 @@ def identifiability(examination: Examination) -> dict[str, object]:
 def examination_summary(examination: Examination) -> str:
     """Conservation laws, and whether identifiability could be decided."""
     lines = [f"conserved {law}\n" for law in examination.laws]
-    if not examination.identifiability.decided:
-        doubtful = ", ".join(examination.identifiability.doubtful)
-        reached = "it depends on which branches, values and time scales the data reach"
-        reason = f" for {doubtful}: {reached}" if doubtful else ""
-        if examination.disturbed:
-            reason = ": what random disturbances show of them was not examined"
-        lines.append(f"identifiability of the learned constants could not be decided{reason}\n")
+    undecided = "identifiability of the learned constants could not be decided"
+    lines += [f"{undecided}{reason}\n" for reason in reasons(examination)]
     return "".join(lines)
+
+
+def reasons(examination: Examination) -> list[str]:
+    """Why identifiability is not decided, and for which constants."""
+    answer = examination.identifiability
+    if answer.decided:
+        return []
+    if examination.disturbed:
+        return [": what random disturbances show of them was not examined"]
+    reached = [name for name in answer.doubtful if name not in answer.faint]
+    what = "branches and values" if answer.branched else "values"
+    told = [
+        (reached, f"it depends on which {what} the data reach"),
+        (answer.faint, "effects on what is observed are too small, beside those of others, to be told from rounding"),
+    ]
+    return [f" for {', '.join(names)}: {reason}" for names, reason in told if names] or [""]
 
 
 def _count(n: int, word: str) -> str:

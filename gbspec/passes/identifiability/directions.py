@@ -9,7 +9,7 @@ from math import comb
 import numpy as np
 import sympy
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.generators import moved
 from gbspec.passes.identifiability.jets import Base, LinearSystem, size, system_at
@@ -51,6 +51,8 @@ class Directions:
     order: int
     doubtful: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own: tuple[str, ...] = ()
+    faint: tuple[str, ...] = ()
+    """The constants whose effects are too small beside others to be told from rounding."""
     tells: bool = True
     """Whether the expansions are long enough: else they say nothing of any constant."""
 
@@ -61,12 +63,14 @@ def find(question: Question, effort: Effort) -> Directions | None:
     Equal ranks in a row end the search, of orders above that at which the last constant can show, and at which the
     expansions tell something: at low orders free initial values of unmeasured states compensate everything. Two are
     enough where made-up terms show that, three with unmeasured states where an unknown function of everything is in
-    each rate: each unmeasured state may need one more derivative before it affects an output. Where orders or
-    effort end first, directions that exact symmetries explain are decided all the same: no further order excludes them.
+    each rate: each unmeasured state may need one more derivative before it affects an output. From known starts, at
+    which rates may cancel as in a steady state, each state may need one more too. Directions that exact symmetries
+    explain are decided before, and where orders or effort end first: no further order excludes them.
     """
     reach = Reach(question).orders()
     first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
-    last = max(ORDERS[-1], min(first + 1, MOST_ORDERS))
+    cancelling = len(question.starts) if any(start is not None for start in question.starts) else 0
+    last = max(ORDERS[-1], min(first + cancelling + 1, MOST_ORDERS))
     needed = 3 if question.hidden and not question.probed else 2
     past: list[Directions] = []
     branches = Branches(question)
@@ -83,7 +87,8 @@ def find(question: Question, effort: Effort) -> Directions | None:
             continue
         past.append(found)
         ranks = {(e.basis.shape[1], e.doubtful.shape[1], e.functions, e.own) for e in past[-needed:]}
-        if order > first and len(past) >= needed and len(ranks) == 1:
+        settled = order > first and len(past) >= needed and len(ranks) == 1
+        if settled and (order > first + cancelling or _explained(question, found)):
             return found
     return past[-1] if past and _explained(question, past[-1]) else None
 
@@ -134,13 +139,15 @@ def at_order(
     if not systems:
         return None
     certain = [each for each, system in zip(equations, systems, strict=True) if system.certain]
-    unsure = [_thresholds(question), _faint(systems, scales)]
+    faint = _faint(systems, scales)
+    unsure = [_thresholds(question), np.diag(faint.astype(float))]
     sure, basis = _common_null(certain, count), _common_null([*equations, *unsure], count)
     functions, own = _loose(systems) if not question.hidden else ((), ())
     doubtful = _unscaled(_common_null([np.asarray(basis.T), _equations_of(sure)], count), scales)
     tells = _tells(systems)
     natural = _unscaled(basis, scales)
-    return Directions(natural, tuple(systems), tuple(bases), functions, order, doubtful, own, tells)
+    unclear = tuple(k.name for k, small in zip(question.sought, faint, strict=True) if small)
+    return Directions(natural, tuple(systems), tuple(bases), functions, order, doubtful, own, unclear, tells)
 
 
 def _equations_of(basis: Array) -> Array:
@@ -159,8 +166,8 @@ def _thresholds(question: Question) -> Array:
     return np.diag([1.0 if k.symbol in names else 0.0 for k in question.sought])
 
 
-def _faint(systems: Sequence[LinearSystem], scales: Array) -> Array:
-    """Doubt about constants whose effects are not zero, and too small beside others to be told from rounding: with
+def _faint(systems: Sequence[LinearSystem], scales: Array) -> Mask:
+    """The constants whose effects are not zero, and too small beside others to be told from rounding: with
     rates that differ by many decades the expansion is no measure of what data at other times tell."""
     largest = np.zeros(len(scales))
     for system in systems:
@@ -168,7 +175,7 @@ def _faint(systems: Sequence[LinearSystem], scales: Array) -> Array:
         sizes[:, : system.constants] *= scales
         share = sizes[:, : system.constants] / np.maximum(sizes.max(axis=1, initial=0.0), 1e-300)[:, None]
         largest = np.maximum(largest, share.max(axis=0, initial=0.0))
-    return np.diag(((largest > 0) & (largest < SMALL)).astype(float))
+    return np.asarray((largest > 0) & (largest < SMALL))
 
 
 def _lines(question: Question, order: int) -> int:

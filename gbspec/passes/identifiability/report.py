@@ -56,7 +56,12 @@ class Identifiability:
     decided: bool
     sets: tuple[Inseparable, ...] = ()
     doubtful: tuple[str, ...] = ()
-    """The constants for which such branches matter."""
+    """The constants that are not decided although the analysis came to its end: `faint` ones, and those for which such
+    branches matter, or values that only changing inputs lead to."""
+    faint: tuple[str, ...] = ()
+    """The constants whose effects are too small beside others to be told from rounding."""
+    branched: bool = False
+    """Whether the model has branches."""
 
 
 def identifiability(model: Model, findings: Findings, budget: float = BUDGET) -> Identifiability:
@@ -92,7 +97,9 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
             _warn(model, question, found, findings)
     touched = np.max(np.abs(declared.doubtful), axis=1, initial=0.0) > 1e-6
     doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
-    return Identifiability(not doubtful and not model.diffusions, tuple(sets), doubtful)
+    faint = tuple(name for name in doubtful if name in declared.faint)
+    branched = bool(Branches(question).atoms)
+    return Identifiability(not doubtful and not model.diffusions, tuple(sets), doubtful, faint, branched)
 
 
 def by_one_trajectory(model: Model, budget: float = BUDGET) -> tuple[Inseparable, ...]:
