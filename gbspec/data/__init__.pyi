@@ -54,6 +54,7 @@ from .statistics import channel_statistics as channel_statistics
 from .statistics import deviations as deviations
 from .statistics import evenly_spaced as evenly_spaced
 from .statistics import measured_scale as measured_scale
+from .statistics import scale_of_logarithms as scale_of_logarithms
 from .table import read as read
 from .table import read_frame as read_frame
 from .table import write as write

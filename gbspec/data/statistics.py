@@ -77,12 +77,12 @@ def deviations(model: Model, trajectories: Trajectories) -> Array:
     """The scale of residuals without declared noise: `measured_scale` of each channel [C]; for residuals of logarithms
     that of the logarithms (1 if these do not vary)."""
     columns = np.concatenate([np.zeros((0, len(model.channels))), *(item.values for item in trajectories.items)]).T
-    return np.array(
-        [_of_logarithms(c) if log else measured_scale(c) for c, log in zip(columns, logarithmic(model), strict=True)]
-    )
+    each = zip(columns, logarithmic(model), strict=True)
+    return np.array([scale_of_logarithms(column) if log else measured_scale(column) for column, log in each])
 
 
-def _of_logarithms(values: Array) -> float:
+def scale_of_logarithms(values: Array) -> float:
+    """The standard deviation of the logarithms of the measured values that have one; 1 if these do not vary."""
     logarithms = np.log(values[np.isfinite(values) & (values > 0)])
     deviation = float(logarithms.std()) if logarithms.size else 0.0
     return deviation if deviation > FLAT * float(np.abs(logarithms).max(initial=0.0)) else 1.0

@@ -91,6 +91,7 @@ from .model import unknown_function as unknown_function
 from .residual import LEAST_SIZE as LEAST_SIZE
 from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic
+from .residual import on_fitted_scale as on_fitted_scale
 from .residual import residuals as residuals
 from .residual import slopes as slopes
 from .schedule import insets as insets

@@ -21,16 +21,19 @@ STEPS: Mapping[str, int | None] = {"1": 1, "10": 10, "all": None}
 def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[str, ChannelErrors]]:
     """The errors of predictions by the number of rows that they are ahead, and by channel; of one member."""
     from gbspec.analysis import channel_errors
+    from gbspec.ir import logarithmic
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, member)
     if not filtered.finite:
         return {}
     measured = np.concatenate([item.values[item.times >= item.start] for item in data.items])
-    out = {}
+    out, log = {}, logarithmic(run.model)
     for name, steps in STEPS.items():
         found = np.concatenate(filtered.ahead(steps))
-        out[name] = {c.name: channel_errors(measured[:, j], found[:, j]) for j, c in enumerate(run.model.channels)}
+        out[name] = {
+            c.name: channel_errors(measured[:, j], found[:, j], bool(log[j])) for j, c in enumerate(run.model.channels)
+        }
     return out
 
 

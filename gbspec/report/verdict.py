@@ -96,7 +96,8 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
         beside = (
             f"; without a model, {known[0].predictor or 'the best predictor'} reaches {naive[0]:.3g}" if naive else ""
         )
-        measured = f"R² {_share(errors.r2)} over {errors.n} values{beside}"
+        of = " of logarithms, as the noise is," if errors.logarithms else ""
+        measured = f"R² {_share(errors.r2)}{of} over {errors.n} {'value' if errors.n == 1 else 'values'}{beside}"
         if errors.r2 >= FOLLOWED:
             good.append(f"Whole solutions follow `{name}`: {measured}.")
         else:

@@ -32,7 +32,7 @@ from gbspec.data import TRAJECTORY
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled
-from gbspec.ir import logarithmic, slopes
+from gbspec.ir import logarithmic, on_fitted_scale, slopes
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
@@ -81,16 +81,30 @@ class PredictedTrajectory:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors at the `n` measurements that were not used; `covered` is the fraction of them inside the intervals."""
+    """Errors at the `n` measurements that were not used; `covered` is the fraction of them inside the intervals.
+
+    `rmse` is in the channel's unit; `nrmse` is relative to the standard deviation of these measurements, both of
+    logarithms where the noise is log-normal (`logarithms`).
+    """
 
     n: int
     rmse: float
     nrmse: float
     covered: float
+    logarithms: bool = False
 
     def to_json(self) -> dict[str, object]:
-        """The errors as JSON; undefined numbers are null."""
-        return {"n": self.n, **{name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}}
+        """The errors as JSON; undefined numbers are null, and `logarithms` is there where these are compared."""
+        numbers = {name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}
+        return {"n": self.n, **numbers, **({"logarithms": True} if self.logarithms else {})}
+
+    def __str__(self) -> str:
+        what = "measurement that was not used" if self.n == 1 else "measurements that were not used"
+        relative = f"{self.nrmse:.3g} of their standard deviation"
+        if self.logarithms:
+            relative = f"that of logarithms {self.nrmse:.3g} of the standard deviation of theirs"
+        inside = f"{100 * self.covered:.0f} % inside the 90 % intervals"
+        return f"{self.n} {what}; rmse {self.rmse:.4g}, {relative}, {inside}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -145,10 +159,12 @@ class Forecast(Tabled):
             seen = np.isfinite(measured) & np.isfinite(mean)
             if seen.any():
                 rmse = float(np.sqrt(np.mean((measured - mean)[seen] ** 2)))
-                width = float(np.std(measured[seen]))
+                log = any(bool(item.in_logarithms[j]) for item, _ in parts)
+                values, predicted = on_fitted_scale(measured[seen], mean[seen], log)
+                width = float(np.nanstd(values))
                 inside = (measured >= low) & (measured <= high)
-                relative = rmse / width if width > 0 else math.nan
-                found[name] = Errors(int(seen.sum()), rmse, relative, float(np.mean(inside[seen])))
+                relative = float(np.sqrt(np.nanmean((values - predicted) ** 2))) / width if width > 0 else math.nan
+                found[name] = Errors(int(seen.sum()), rmse, relative, float(np.mean(inside[seen])), log)
         return found
 
     def to_json(self) -> dict[str, object]:
@@ -171,12 +187,7 @@ class Forecast(Tabled):
         }
 
     def __str__(self) -> str:
-        lines = []
-        for name, one in self.errors().items():
-            lines.append(
-                f"{name}: {one.n} measurements that were not used; rmse {one.rmse:.4g}, {one.nrmse:.3g} of their "
-                f"standard deviation, {100 * one.covered:.0f} % inside the 90 % intervals"
-            )
+        lines = [f"{name}: {one}" for name, one in self.errors().items()]
         for origin, words in ORIGINS.items():
             of_it = [item for item in self.items if item.start.origin == origin]
             if of_it:

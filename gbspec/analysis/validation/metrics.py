@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import FLAT, measured_scale
+from gbspec.data import FLAT, measured_scale, scale_of_logarithms
 from gbspec.files import finite
+from gbspec.ir import on_fitted_scale
 
 
 @dataclass(frozen=True)
@@ -100,10 +101,11 @@ def share_text(r2: float) -> str:
 
 @dataclass(frozen=True)
 class ChannelErrors:
-    """Errors of one channel over `n` measured values, in the channel's unit.
+    """Errors of one channel over `n` measured values; `rmse` and `mae` in the channel's unit.
 
-    `nrmse` is the RMSE over the standard deviation of the measured values (their magnitude, if they do not vary),
-    so that `r2 = 1 - nrmse**2`; `r2` is NaN if the values do not vary.
+    `nrmse` is the root mean square of the errors over the standard deviation of the measured values (their magnitude,
+    if they do not vary), so that `r2 = 1 - nrmse**2`; `r2` is NaN if the values do not vary. With `logarithms` these
+    two are of the logarithms of values and predictions, on which channels with log-normal noise are fitted.
     """
 
     n: int
@@ -111,27 +113,38 @@ class ChannelErrors:
     nrmse: float
     mae: float
     r2: float
+    logarithms: bool = False
 
     def to_json(self) -> dict[str, object]:
-        """Keys n, rmse, nrmse, mae, r2; null for an undefined number."""
-        return {
+        """Keys n, rmse, nrmse, mae, r2, null for an undefined number; and logarithms, where these are compared."""
+        document: dict[str, object] = {
             "n": self.n,
             "rmse": finite(self.rmse),
             "nrmse": finite(self.nrmse),
             "mae": finite(self.mae),
             "r2": finite(self.r2),
         }
+        return document | ({"logarithms": True} if self.logarithms else {})
 
 
-def channel_errors(measured: Array, predicted: Array) -> ChannelErrors:
+def channel_errors(measured: Array, predicted: Array, logarithms: bool = False) -> ChannelErrors:
     """Errors of one channel; both arrays of the same shape, NaN for values that are not compared."""
-    compared = np.isfinite(measured) & np.isfinite(predicted)
+    scaled = on_fitted_scale(measured, predicted, logarithms)
+    compared = np.isfinite(scaled[0]) & np.isfinite(scaled[1])
     n = int(compared.sum())
     if n == 0:
-        return ChannelErrors(0, math.nan, math.nan, math.nan, math.nan)
-    values, error = measured[compared], predicted[compared] - measured[compared]
-    rmse = float(np.sqrt(np.mean(error**2)))
+        return ChannelErrors(0, math.nan, math.nan, math.nan, math.nan, logarithms)
+    difference = predicted[compared] - measured[compared]
+    rmse, mae = float(np.sqrt(np.mean(difference**2))), float(np.mean(np.abs(difference)))
+    values, error = scaled[0][compared], scaled[1][compared] - scaled[0][compared]
     total = float(np.sum((values - values.mean()) ** 2))
     varies = total > (FLAT * float(np.abs(values).max())) ** 2 * n
     r2 = 1.0 - float(np.sum(error**2)) / total if varies else math.nan
-    return ChannelErrors(n, rmse, rmse / measured_scale(values), float(np.mean(np.abs(error))), r2)
+    scale = scale_of_logarithms(measured[compared]) if logarithms else measured_scale(values)
+    return ChannelErrors(n, rmse, float(np.sqrt(np.mean(error**2))) / scale, mae, r2, logarithms)
+
+
+def said_of_logarithms(channels: Mapping[str, ChannelErrors], what: str) -> list[str]:
+    """A line that names the channels of which `what` is of logarithms; none if there are none."""
+    names = [f"`{name}`" for name, errors in channels.items() if errors.logarithms]
+    return [f"{what} of {', '.join(names)}: of logarithms, as the noise is"] if names else []

@@ -12,15 +12,16 @@ from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
-from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, share_text
+from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, said_of_logarithms, share_text
 from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data import channel_scales, states_far_outside
+from gbspec.data import deviations, states_far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, of_rows
-from gbspec.runs import encode
+from gbspec.ir import logarithmic, on_fitted_scale
+from gbspec.runs import OMITTED, encode
 
 if TYPE_CHECKING:
     import polars as pl
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class TrajectoryError:
     """The NRMSE of one trajectory over all its measured values (each channel over its standard deviation in
-    the whole data set).
+    the whole data set; of logarithms, where the noise is log-normal).
 
     `initial` is the origin of its initial state; `failure` the reason why it could not be solved (`nrmse` is then NaN).
     `extrapolated` counts, for each unknown, the rows in which it is far from its training data; zeros are left out.
@@ -61,7 +62,8 @@ class TrajectoryError:
 
 @dataclass(frozen=True)
 class WorstRow:
-    """The measurement that is predicted worst, by its error in standard deviations of its channel's data."""
+    """The measurement that is predicted worst, by its error in standard deviations of its channel's data; of their
+    logarithms, where the noise is log-normal (`logarithms`)."""
 
     trajectory: str
     time: float
@@ -69,11 +71,13 @@ class WorstRow:
     measured: float
     predicted: float
     deviations: float
+    logarithms: bool = field(default=False, metadata=OMITTED)
 
     def __str__(self) -> str:
         return (
             f"worst row: {self.channel} of trajectory `{self.trajectory}` at {self.time:.6g}: measured "
-            f"{self.measured:.4g}, predicted {self.predicted:.4g}, {self.deviations:.2g} standard deviations apart"
+            f"{self.measured:.4g}, predicted {self.predicted:.4g}, {self.deviations:.2g} standard deviations "
+            + ("of the logarithms apart" if self.logarithms else "apart")
         )
 
 
@@ -100,13 +104,17 @@ class Validation(Tabled):
     limits: Mapping[str, LimitsKept] = field(default_factory=dict)
 
     def to_frame(self) -> pl.DataFrame:
-        """One row for each channel: `channel`, `n`, `rmse`, `nrmse`, `mae`, `r2`; errors in the channel's unit."""
+        """One row for each channel: `channel`, `n`, `rmse` and `mae` in the channel's unit, `nrmse` and `r2`; and
+        `logarithms`, where `nrmse` and `r2` of a channel are of these."""
         return of_rows({"channel": name, **errors.to_json()} for name, errors in self.channels.items())
 
     def summary(self) -> str:
         """Which prediction was compared with how many trajectories."""
         who = "mean of the members" if self.member == "mean" else f"member {self.member}"
-        parts = ", ".join(f"R² {share_text(one.r2)} of {name}" for name, one in self.channels.items())
+        parts = ", ".join(
+            f"R² {share_text(one.r2)} of {'the logarithms of ' if one.logarithms else ''}{name}"
+            for name, one in self.channels.items()
+        )
         return f"{who}, {len(self.trajectories)} trajectories" + (f", {parts}" if parts else "")
 
     def notes(self) -> Sequence[str]:
@@ -155,6 +163,7 @@ class Validation(Tabled):
                 lines.append(
                     f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{share_text(e.r2):>10}"
                 )
+        lines += said_of_logarithms(self.channels, "nrmse and r2")
         lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.ahead:
             lines.append(f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>10}")
@@ -208,7 +217,7 @@ def validate(
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         known = extrapolation_of(run, None if member == "mean" else member)
         channels, errors = _on_data(run.model, trajectories, predicted, known)
-        worst = worst_row(trajectories, predicted)
+        worst = worst_row(run.model, trajectories, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
@@ -238,13 +247,15 @@ def _on_data(
     predicted = np.concatenate(
         [one.channels if not one.failure else np.full(one.channels.shape, np.nan) for one in predictions]
     )
+    log, scales = logarithmic(model), deviations(model, trajectories)
     channels = {
-        channel.name: channel_errors(measured[:, j], predicted[:, j]) for j, channel in enumerate(model.channels)
+        channel.name: channel_errors(measured[:, j], predicted[:, j], bool(log[j]))
+        for j, channel in enumerate(model.channels)
     }
-    scales = channel_scales(trajectories)
     errors = []
     for item, one in zip(trajectories.items, predictions, strict=True):
-        relative = ((one.channels - item.values) / scales)[np.isfinite(item.values)]
+        values, found = on_fitted_scale(item.values, one.channels, log)
+        relative = ((found - values) / scales)[np.isfinite(values)]
         nrmse = float(np.sqrt(np.mean(relative**2))) if relative.size and not one.failure else float("nan")
         far = {} if one.failure else extrapolated(known, model, item, one.states, one.start)
         counts = {name: int(rows.sum()) for name, rows in far.items() if rows.any()}
@@ -252,12 +263,13 @@ def _on_data(
     return channels, tuple(errors)
 
 
-def worst_row(trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
+def worst_row(model: Model, trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
     """The measurement with the largest error; None if there is none that could be compared."""
-    scales = channel_scales(trajectories)
+    log, scales = logarithmic(model), deviations(model, trajectories)
     found: WorstRow | None = None
     for item, one in zip(trajectories.items, predictions, strict=True):
-        off = np.abs(one.channels - item.values) / scales
+        values, predicted = on_fitted_scale(item.values, one.channels, log)
+        off = np.abs(predicted - values) / scales
         if one.failure or not np.isfinite(off).any():
             continue
         row, column = np.unravel_index(int(np.nanargmax(off)), off.shape)
@@ -269,6 +281,7 @@ def worst_row(trajectories: Trajectories, predictions: Sequence[Prediction]) -> 
                 float(item.values[row, column]),
                 float(one.channels[row, column]),
                 float(off[row, column]),
+                bool(log[column]),
             )
     return found
 

@@ -262,14 +262,16 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     """The few numbers at the top of the page."""
-    errors = [one.nrmse for one in found.validation.channels.values()]
+    channels = found.validation.channels.values()
     cards = [
         (str(run.fit.data.trajectories), "trajectory" if run.fit.data.trajectories == 1 else "trajectories"),
         (str(run.fit.data.values), "measured values"),
         (str(len(run.numbers)), "members" if len(run.numbers) > 1 else "member"),
     ]
-    if errors:
-        cards.append((number(max(errors), 3), "largest error of a channel, in its standard deviations"))
+    if channels:
+        largest = max(channels, key=lambda one: one.nrmse)
+        of = "in the standard deviations of its logarithms" if largest.logarithms else "in its standard deviations"
+        cards.append((number(largest.nrmse, 3), f"largest error of a channel, {of}"))
     truth = found.validation.truth
     if truth is not None:
         cards.append((number(truth.rhs.L2, 3), "L2 error of the right-hand side"))

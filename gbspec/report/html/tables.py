@@ -95,10 +95,13 @@ def metrics(validation: JsonObject) -> dict[str, Table]:
     channels = validation["channels"]
     if channels:
         keys = ("n", "rmse", "nrmse", "mae", "r2")
-        rows = tuple(
-            (name, *(number(one[key], 5) for key in keys[:-1]), share(one[keys[-1]])) for name, one in channels.items()
-        )
-        found["on the data"] = Table(("channel", *keys), rows)
+        logs = any(one.get("logarithms") for one in channels.values())
+        header = ("channel", *keys, *(["nrmse and r2 of"] if logs else []))
+        rows = []
+        for name, one in channels.items():
+            scale = ["logarithms" if one.get("logarithms") else "values"] if logs else []
+            rows.append((name, *(number(one[key], 5) for key in keys[:-1]), share(one[keys[-1]]), *scale))
+        found["on the data"] = Table(header, tuple(rows))
     truth = validation.get("truth")
     if truth:
         norms = {"solution": truth["solution"], "right-hand side": truth["rhs"], **truth["functions"]}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, present_values, states_far_outside, variance_of
 from gbspec.files import finite
-from gbspec.ir import Model
+from gbspec.ir import Model, on_fitted_scale
 from gbspec.runs import ChannelRecord, LikelihoodRecord, ObjectiveRecord, PopulationRecord, StageRecord
 from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
@@ -207,11 +207,8 @@ def _outliers(residuals: Array) -> int | None:
 def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
     """1 minus the mean squared error of a channel's predictions over the variance of its data (or of logarithms)."""
     seen = problem.valued[:, channel]
-    values, predictions = problem.packed.values[seen, channel], mean[seen, channel]
-    if problem.scaling.log[channel]:
-        # A prediction of zero or less is as bad as it can be, and no reason to leave the verdict out.
-        with np.errstate(invalid="ignore"):
-            values, predictions = np.log(values), np.log(np.maximum(predictions, np.finfo(np.float64).tiny))
+    log = bool(problem.scaling.log[channel])
+    values, predictions = on_fitted_scale(problem.packed.values[seen, channel], mean[seen, channel], log)
     variance = variance_of([values])
     if not variance > 0:
         return None
