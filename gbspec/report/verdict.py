@@ -12,20 +12,20 @@ import numpy as np
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
-from gbspec.runs import CERTAIN
+from gbspec.runs import CERTAIN, FOLLOWED, how_followed
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
     from gbspec.runs import Run
 
-FOLLOWED, LOST = 0.9, 0.5
-"""R² of whole solutions from which a channel counts as followed, and below which the fit is not to be relied on."""
 VAGUE = 0.5
 """Half a 90 % interval, relative to the value, from which a constant is hardly known."""
 FUNCTION_CERTAIN, FUNCTION_VAGUE = 0.1, 0.3
 """Half a function's 90 % band, or the spread of its members, relative to its range over the data."""
 HARDLY = "The data hardly determine"
 """The beginning of a doubt about a constant or a function that makes the whole a matter of reservations."""
+BADLY = re.compile(r"Whole solutions follow `[^`]+` badly")
+"""The beginning of a fit's warning of a channel, which is not repeated where its errors on the data say the same."""
 ADVICE = re.compile(
     r"(?:; |[.] |: )"
     r"(?=(?:Train|train|widen|fix|do not|give|use|check|`--resume`|`--members|it is |what may|observe |leave ))"
@@ -65,7 +65,9 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
         if len(run.numbers) == 1:
             warning = re.sub(r"^member \d+: ", "", warning)
         what, *advice = ADVICE.split(warning, maxsplit=1)
-        doubt.append(_sentence(what))
+        followed = BADLY.match(_sentence(what))
+        if followed is None or not any(text.startswith(followed[0]) for text in doubt):
+            doubt.append(_sentence(what))
         do += map(_sentence, advice)
     _missing(run, doubt, do)
     reserved = bool(warnings) or any(text.startswith(HARDLY) for text in doubt)
@@ -80,9 +82,9 @@ def _headline(found: Validation, warnings: Sequence[str], reserved: bool, with_d
     worse = any("whole solutions follow" in warning for warning in warnings)
     if not with_data:
         return "Without its data, this fit cannot be judged."
-    if worse or found.empty or not worst >= LOST:
+    if worse or found.empty or how_followed(worst) == "badly":
         return "Do not rely on this fit: its solutions do not follow the data."
-    if worst < FOLLOWED:
+    if how_followed(worst) == "in part":
         return "It follows the data in part."
     return "It follows the data, with reservations." if reserved else "It follows the data."
 
@@ -98,10 +100,11 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
         )
         of = " of logarithms, as the noise is," if errors.logarithms else ""
         measured = f"R² {_share(errors.r2)}{of} over {errors.n} {'value' if errors.n == 1 else 'values'}{beside}"
-        if errors.r2 >= FOLLOWED:
+        how = how_followed(errors.r2)
+        if how == "well":
             good.append(f"Whole solutions follow `{name}`: {measured}.")
         else:
-            doubt.append(f"Whole solutions follow `{name}` {'in part' if errors.r2 >= LOST else 'badly'}: {measured}.")
+            doubt.append(f"Whole solutions follow `{name}` {how}: {measured}.")
         held = [one.held for one in known if one.held is not None]
         if held:
             text = f"On data that the fit did not see, `{name}` has R² {_share(min(held))}."

@@ -15,6 +15,7 @@ from gbspec.analysis.validation.validate import Validation
 from gbspec.report.content import LearnedFunction, Slice
 from gbspec.report.verdict import verdict
 from gbspec.runs.record import ChannelRecord, ConstantRecord, DataRecord, FitRecord, MemberRecord
+from gbspec.training.runs.verdict import verdicts
 
 X = np.linspace(0.0, 1.0, 20)
 BOUND = "member 0: `a5` ended at its bound 0.001; widen the bounds if values beyond it are plausible"
@@ -120,3 +121,23 @@ def test_what_no_data_can_separate_is_a_doubt_with_advice() -> None:
     said = verdict(run(known + "observe `y`; or accept it with `allow GB401 a`"), found(), (), with_data=True)
     assert said.headline == "It follows the data, with reservations."
     assert said.do == ("Observe `y`; or accept it with `allow GB401 a`.",)
+
+
+def test_what_the_fit_warns_of_is_not_said_twice() -> None:
+    """The warning of `train` and the errors on the data come from one definition, and are one doubt."""
+    (warning,) = verdicts({"x": ChannelRecord(0.4, 0.1, "the mean")})
+    said = verdict(run(f"member 0: {warning}"), found(0.4), (), with_data=True)
+    assert said.headline.startswith("Do not rely")
+    assert [text for text in said.doubt if "`x` badly" in text] == [
+        "Whole solutions follow `x` badly: R² 0.4 over 9 values; without a model, the mean reaches 0.4."
+    ]
+    assert any("postulate" in text for text in said.do)
+    alone = verdict(run(f"member 0: {warning}"), Validation("mean", {}, (), StepCheck(None, None)), (), with_data=False)
+    assert any("they leave 60 % of the variance" in text for text in alone.doubt)
+
+
+@pytest.mark.parametrize("r2", [0.3, 0.499, 0.5, 0.7])
+def test_the_fit_and_the_report_agree(r2: float) -> None:
+    warnings = verdicts({"x": ChannelRecord(r2, 0.0, "the mean")})
+    headline = verdict(run(*warnings), found(r2), (), with_data=True).headline
+    assert bool(warnings) == headline.startswith("Do not rely") == (r2 < 0.5)

@@ -27,12 +27,14 @@ pytestmark = pytest.mark.usefixtures("quick_fits")
     ("r2", "naive", "said"),
     [
         (0.99, 0.5, ""),
-        (0.2, 0.0, ""),
+        (0.5, 0.0, ""),
+        (0.479, 0.104, "badly (R² 0.479: they leave 52.1 % of the variance)"),
         (0.05, 0.0, "hardly better than"),
         (0.0, 0.3, "worse than"),
         (-7.0, -0.2, "worse than"),
         (None, 0.3, ""),
         (0.9, None, ""),
+        (0.4, None, "badly"),
     ],
 )
 def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive: float | None, said: str) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import ChannelRecord, LikelihoodRecord
+from gbspec.runs import ChannelRecord, LikelihoodRecord, how_followed
 from gbspec.training.problem import share_that_counts
 
 if TYPE_CHECKING:
@@ -49,11 +49,17 @@ REMEDIES_OF_KNOWN_FORMS = (
 
 
 def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) -> list[str]:
-    """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse."""
+    """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
+    leave more than half of the variance."""
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     out = []
     for name, found in channels.items():
-        if found.r2 is None or found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
+        if found.r2 is None or (model is not None and model.diffusions):  # these predict from row to row
+            continue
+        if found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
+            if how_followed(found.r2) == "badly":
+                left = f"R² {found.r2:.3g}: they leave {100 * (1 - found.r2):.3g} % of the variance"
+                out.append(f"whole solutions follow `{name}` badly ({left}): {remedies}")
             continue
         if found.r2 > GOOD and found.autocorrelation is not None and name not in _following(channels):
             continue
