@@ -49,6 +49,12 @@ class Tabled(Shown):
         return html(self.to_frame(), self.summary(), self.notes())
 
 
+def counted(number: int, word: str, several: str = "") -> str:
+    """A number with what it counts: `1 row`, `2 trajectories`; `several` is the plural where it is not regular."""
+    regular = f"{word[:-1]}ies" if word.endswith("y") else f"{word}s"
+    return f"{number:,} {word if number == 1 else several or regular}"
+
+
 def of_rows(rows: Iterable[Mapping[str, object]]) -> pl.DataFrame:
     """A frame of rows by name; numbers are compared over all rows before a column has its type."""
     import polars as pl

@@ -11,6 +11,7 @@ from gbspec.data.columns import Quantity
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
+from gbspec.frames import counted
 from gbspec.ir import Model, Range
 
 NOISE = 0.01
@@ -296,7 +297,8 @@ def _beyond(name: str, bounds: Range | None, column: Array) -> str:
         return ""
     spread = f"from {beyond.min():.4g} to {beyond.max():.4g}" if len(beyond) > 1 else f"{beyond[0]:.4g}"
     return (
-        f"`{name}`: {len(beyond)} of {int(np.isfinite(column).sum())} values lie far outside of its range "
+        f"`{name}`: {len(beyond)} of {counted(int(np.isfinite(column).sum()), 'value')} "
+        f"{'lies' if len(beyond) == 1 else 'lie'} far outside of its range "
         f"{_interval(bounds)}: {spread}"
     )
 

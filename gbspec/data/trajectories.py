@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.data.columns import TRAJECTORY, Form
-from gbspec.frames import Tabled
+from gbspec.frames import Tabled, counted
 
 if TYPE_CHECKING:
     import polars as pl
@@ -143,8 +143,8 @@ class Trajectories(Tabled):
 
     def summary(self) -> str:
         """The numbers of trajectories and of measured values, and the channels."""
-        count = f"{len(self)} trajector{'y' if len(self) == 1 else 'ies'}"
-        return f"{count}, {self.measurements} values of {', '.join(self.channels)}"
+        count = counted(len(self), "trajectory")
+        return f"{count}, {counted(self.measurements, 'value')} of {', '.join(self.channels)}"
 
 
 def frame_of(trajectories: Trajectories, form: Form) -> pl.DataFrame:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Diagnostic, UserError, packages
+from gbspec.frames import counted
 
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
@@ -33,7 +34,7 @@ def fit(
 ) -> Run:
     """Like `train` but without the check of steps, for studies, which have their own checks."""
     if progress is not None:  # before torch is imported, which takes seconds
-        size = f"{data.measurements:,} values in {len(data):,} trajector{'y' if len(data) == 1 else 'ies'}"
+        size = f"{counted(data.measurements, 'value')} in {counted(len(data), 'trajectory')}"
         progress.message(f"preparing: {model.name}, {size}{_absent(model, data)}")
     from gbspec.training import train as run
 

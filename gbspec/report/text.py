@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from gbspec.frames import counted
+
 if TYPE_CHECKING:
     from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
     from gbspec.runs import MemberRecord, ProfileRecord, Run
@@ -208,7 +210,7 @@ def _own_constants(run: Run) -> list[str]:
         lines.append(cells)
     header = ["trajectory", *(word for name in own for word in (name, "interval"))]
     more = len(labels) - SHOWN
-    left_out = [f"and {more} more trajectories, in fit.json and `gbspec plot {run.path} per-trajectory`"]
+    left_out = [f"and {counted(more, 'more trajectory')}, in fit.json and `gbspec plot {run.path} per-trajectory`"]
     return [table(header, lines)] + (left_out if more > 0 else [])
 
 

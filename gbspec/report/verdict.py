@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gbspec.frames import counted
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
@@ -99,7 +100,7 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
             f"; without a model, {known[0].predictor or 'the best predictor'} reaches {naive[0]:.3g}" if naive else ""
         )
         of = " of logarithms, as the noise is," if errors.logarithms else ""
-        measured = f"R² {_share(errors.r2)}{of} over {errors.n} {'value' if errors.n == 1 else 'values'}{beside}"
+        measured = f"R² {_share(errors.r2)}{of} over {counted(errors.n, 'value')}{beside}"
         how = how_followed(errors.r2)
         if how == "well":
             good.append(f"Whole solutions follow `{name}`: {measured}.")

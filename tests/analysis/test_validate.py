@@ -16,9 +16,10 @@ from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.solutions import learned_positions, learned_start, predict
 from gbspec.analysis.simulation.simulate import simulate
 from gbspec.analysis.validation.comparison_points import sampling_for
+from gbspec.analysis.validation.limits import LimitsKept
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import has_reference, truth_errors, truth_model, without_truth
-from gbspec.analysis.validation.validate import bundled_case, validate
+from gbspec.analysis.validation.validate import TrajectoryError, _data_warnings, bundled_case, validate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions
@@ -89,6 +90,22 @@ def test_rows_far_from_the_training_data_are_told(
     assert system.outside(points[3, :2]) == ()
     assert system.outside(point) == ("x2", "phi")
     assert system.outside(np.stack([points[3, :2], point])) == ("x2", "phi")
+
+
+def test_what_is_told_has_the_right_number() -> None:
+    def said(*counts: dict[str, int]) -> list[str]:
+        errors = [TrajectoryError(str(i), 0.1, "estimated", "", each) for i, each in enumerate(counts)]
+        return _data_warnings(errors, "initial states")
+
+    far, estimated = said({"f": 1})
+    assert far == "`f` is extrapolated, far from its training data, in 1 row (`0`)"
+    assert estimated.startswith("the initial states of 1 trajectory that training did not see (`0`) were estimated")
+    far, estimated = said({"f": 1, "g": 2}, {"f": 3})
+    assert far == "`f`, `g` are extrapolated, far from their training data, in 5 rows (`0`, `1`)"
+    assert "of 2 trajectories that" in estimated
+    kept = [str(LimitsKept(n, n - 1, 0.5)) for n in (1, 2)]
+    assert "0 of 1 censored value is predicted on its side of the limit; the other by 0.5" in kept[0]
+    assert "1 of 2 censored values are predicted on their side of the limit; the other by" in kept[1]
 
 
 # ---------------------------------------------------------------------- against the truth

@@ -15,6 +15,7 @@ import pytest
 
 import gbspec
 from gbspec.data import SimulateOptions, Trajectories
+from gbspec.frames import counted
 from gbspec.keywords import SimulateKeywords, StudyKeywords, TrainKeywords
 from gbspec.report.progress import Lines, Notebook, progress_of
 from gbspec.studies import StudyOptions
@@ -361,3 +362,9 @@ def test_preparation_is_told_before_the_first_iteration(
     first = events.index("update")
     assert events[0] == "preparing: decay, 36 values in 4 trajectories"
     assert any("member 0" in text for text in events[:first])
+
+
+def test_numbers_have_the_right_plural() -> None:
+    assert [counted(n, "row") for n in (0, 1, 1200)] == ["0 rows", "1 row", "1,200 rows"]
+    assert [counted(n, "trajectory") for n in (1, 2)] == ["1 trajectory", "2 trajectories"]
+    assert counted(2, "point is", "points are") == "2 points are"

@@ -61,4 +61,4 @@ def test_values_far_outside_of_a_range_are_told() -> None:
     model = model_of("model m\nstate x in [0, 1]\nstate y\nx' = -x\ny' = -y\nobserve x\nobserve y\n")
     assert far_outside(model, np.array([[0.5, 9.0], [1.05, 0.0], [np.nan, 1.0]])) == []
     (told,) = far_outside(model, np.array([[0.5, 9.0], [-1936.0, 0.0], [np.nan, 1.0]]))
-    assert told == "`x`: 1 of 2 values lie far outside of its range [0, 1]: -1936"
+    assert told == "`x`: 1 of 2 values lies far outside of its range [0, 1]: -1936"

@@ -17,7 +17,15 @@ from gbspec.training.problem import autocorrelation_of, in_time, share_that_coun
 from gbspec.training.profile.likelihood import profile_constant
 from gbspec.training.runs.fit import warnings_of
 from gbspec.training.runs.summary import MemberResult, _r2
-from gbspec.training.runs.verdict import above_stated, autocorrelations, innovations, verdicts, widening
+from gbspec.training.runs.verdict import (
+    above_stated,
+    autocorrelations,
+    blown_up,
+    innovations,
+    outlying,
+    verdicts,
+    widening,
+)
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -308,3 +316,24 @@ def test_members_in_different_minima_are_told() -> None:
     assert not said(0.00114, 0.00116)
     assert not said(1e-13, 1e-11)
     assert not said(0.00114)
+
+
+@pytest.mark.parametrize(
+    ("labels", "said"),
+    [
+        (["a"], "in trajectory `a`; this trajectory does not count"),
+        (["a", "b"], "in trajectories `a`, `b`; these trajectories do not count"),
+        (list("abcdefg"), "`e` and 2 more; these"),
+    ],
+)
+def test_trajectories_that_blow_up_are_counted(labels: list[str], said: str) -> None:
+    assert said in blown_up(labels)
+
+
+def test_one_outlier_is_no_several() -> None:
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
+    one, two = (
+        outlying({"x": ChannelRecord(0.9, 0.0, values=50, outliers=count)}, model, {"x": 0.1})[0] for count in (1, 2)
+    )
+    assert "1 of 50 residuals of `x` is far from all others, and leaves" in one and "leave this cell empty" in one
+    assert "2 of 50 residuals of `x` are far from all others, and leave" in two and "leave these cells empty" in two

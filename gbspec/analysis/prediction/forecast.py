@@ -31,7 +31,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.data import TRAJECTORY
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
-from gbspec.frames import Tabled
+from gbspec.frames import Tabled, counted
 from gbspec.ir import logarithmic, on_fitted_scale, slopes
 
 if TYPE_CHECKING:
@@ -99,12 +99,12 @@ class Errors:
         return {"n": self.n, **numbers, **({"logarithms": True} if self.logarithms else {})}
 
     def __str__(self) -> str:
-        what = "measurement that was not used" if self.n == 1 else "measurements that were not used"
+        what = counted(self.n, "measurement that was not used", "measurements that were not used")
         relative = f"{self.nrmse:.3g} of their standard deviation"
         if self.logarithms:
             relative = f"that of logarithms {self.nrmse:.3g} of the standard deviation of theirs"
         inside = f"{100 * self.covered:.0f} % inside the 90 % intervals"
-        return f"{self.n} {what}; rmse {self.rmse:.4g}, {relative}, {inside}"
+        return f"{what}; rmse {self.rmse:.4g}, {relative}, {inside}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,7 +140,7 @@ class Forecast(Tabled):
 
     def summary(self) -> str:
         """What was predicted, and by how many members."""
-        return f"{_count(len(self.items))}, {', '.join(self.variables)}, members: {self.members}"
+        return f"{counted(len(self.items), 'trajectory')}, {', '.join(self.variables)}, members: {self.members}"
 
     def notes(self) -> Sequence[str]:
         """The errors and remarks of the text."""
@@ -192,7 +192,7 @@ class Forecast(Tabled):
             of_it = [item for item in self.items if item.start.origin == origin]
             if of_it:
                 what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
-                lines.append(f"{_count(len(of_it))}: {words}" + (f" ({what})" if what else ""))
+                lines.append(f"{counted(len(of_it), 'trajectory')}: {words}" + (f" ({what})" if what else ""))
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -204,10 +204,6 @@ ORIGINS = {
     "smoothed": "shown by all of their measurements; `--window N` predicts the rows after the first N from these",
     "failed": "no initial state was found from which it can be solved",
 }
-
-
-def _count(number: int) -> str:
-    return f"{number} {'trajectory' if number == 1 else 'trajectories'}"
 
 
 def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None) -> Forecast:
@@ -283,7 +279,8 @@ def said_of_items(items: Sequence[PredictedTrajectory], narrow: str = "") -> lis
     if beyond:
         listed = ", ".join(f"`{label}`" for label in beyond[:5]) + (", ..." if len(beyond) > 5 else "")
         found.append(
-            f"predictions of {_count(len(beyond))} ({listed}) leave the region of the training data: see `outside`"
+            f"predictions of {counted(len(beyond), 'trajectory')} ({listed}) leave the region of the training data: "
+            "see `outside`"
         )
     return found
 
@@ -292,13 +289,17 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
     """A warning about trajectories for which a requested window changes nothing."""
     if window is None:
         return []
-    why = {"learned": "they are part of the training data", "known": "the model or the first row gives their start"}
+    why = {
+        "learned": ("it is part of the training data", "they are part of the training data"),
+        "known": ("the model or the first row gives its start", "the model or the first row gives their starts"),
+    }
     found = []
     for origin in ("learned", "known") if window > 1 else ("learned",):
         labels = [item.label for item in items if item.start.origin == origin]
         if labels:
             listed = ", ".join(f"`{label}`" for label in labels[:5]) + (", ..." if len(labels) > 5 else "")
-            found.append(f"the window has no effect on {_count(len(labels))} ({listed}): {why[origin]}")
+            number, because = counted(len(labels), "trajectory"), why[origin][len(labels) > 1]
+            found.append(f"the window has no effect on {number} ({listed}): {because}")
     return found
 
 

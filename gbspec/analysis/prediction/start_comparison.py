@@ -20,7 +20,7 @@ from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
 from gbspec.data import scales_of
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.frames import Shown, of_rows
+from gbspec.frames import Shown, counted, of_rows
 
 if TYPE_CHECKING:
     import polars as pl
@@ -115,8 +115,8 @@ class InitialStates(Shown):
                 if values is not None:
                     places = (f"{name} = {value:.6g}" for name, value in zip(self.states, values, strict=True))
                     lines.append(f"  {word:<8} " + ", ".join(places))
-        count = len(self.items)
-        lines.append(f"distance from {self.reference}, in units of the states' ranges (median of {count} trajectories)")
+        count = counted(len(self.items), "trajectory")
+        lines.append(f"distance from {self.reference}, in units of the states' ranges (median of {count})")
         for rank, rate in enumerate(self.rates):
             shown = [f"learned {_median([item.learned_off[rank] for item in self.items]):.2e}"]
             bred = [item.bred_off[rank] for item in self.items if item.bred_off is not None]

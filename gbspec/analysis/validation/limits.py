@@ -29,8 +29,10 @@ class LimitsKept:
         return {"n": self.n, "kept": self.kept, "worst": self.worst}
 
     def __str__(self) -> str:
-        beyond = f"; the others by {self.worst:.4g} at most" if self.kept < self.n else ""
-        return f"{self.kept} of {self.n} censored values are predicted on their side of the limit{beyond}"
+        others = "others" if self.n - self.kept > 1 else "other"
+        beyond = f"; the {others} by {self.worst:.4g} at most" if self.kept < self.n else ""
+        own = "value is predicted on its" if self.n == 1 else "values are predicted on their"
+        return f"{self.kept} of {self.n} censored {own} side of the limit{beyond}"
 
 
 def limits_kept(model: Model, data: Trajectories, predicted: Sequence[Prediction]) -> dict[str, LimitsKept]:

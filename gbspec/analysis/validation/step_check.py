@@ -19,6 +19,7 @@ from gbspec.analysis.validation.metrics import truth_scale
 from gbspec.arrays import Array
 from gbspec.data import evenly_spaced
 from gbspec.files import finite
+from gbspec.frames import counted
 from gbspec.runs import StepRecord, encode
 
 if TYPE_CHECKING:
@@ -64,19 +65,24 @@ class StepCheck:
         return document
 
     @property
+    def _checked(self) -> str:
+        number = self.unsolved + self.trajectories
+        return counted(number, "trajectory that was checked", "trajectories that were checked")
+
+    @property
     def warning(self) -> str | None:
         """The warning if the right-hand side depends on the step; otherwise None."""
         if self.unsolved and self.half_step is not None and self.half_step <= DEPENDS:
             return (
-                f"an adaptive solver cannot solve {self.unsolved} of {self.unsolved + self.trajectories} trajectories "
-                f"that were checked; the training step of {self.step:.6g} can, and half of it changes the solutions by "
+                f"an adaptive solver cannot solve {self.unsolved} of {self._checked}; the training step of "
+                f"{self.step:.6g} can, and half of it changes the solutions by "
                 f"{100 * self.half_step:.2g} % of the states' ranges at most, so that the step is not the reason"
             )
         if self.unsolved:
             return (
                 f"the learned right-hand side depends on its training step of {self.step:.6g}: {self.unsolved} of "
-                f"{self.unsolved + self.trajectories} trajectories that were checked can be solved with that step, "
-                "but not by an adaptive solver. Train with a smaller `--max-step`"
+                f"{self._checked} can be solved with that step, but not by an adaptive solver. Train with a smaller "
+                "`--max-step`"
             )
         if self.half_step is None or self.adaptive is None:
             return None

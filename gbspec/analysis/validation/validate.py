@@ -19,7 +19,7 @@ from gbspec.arrays import Array
 from gbspec.data import deviations, states_far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
-from gbspec.frames import Tabled, of_rows
+from gbspec.frames import Tabled, counted, of_rows
 from gbspec.ir import logarithmic, on_fitted_scale
 from gbspec.runs import OMITTED, encode
 
@@ -115,7 +115,7 @@ class Validation(Tabled):
             f"R² {share_text(one.r2)} of {'the logarithms of ' if one.logarithms else ''}{name}"
             for name, one in self.channels.items()
         )
-        return f"{who}, {len(self.trajectories)} trajectories" + (f", {parts}" if parts else "")
+        return f"{who}, {counted(len(self.trajectories), 'trajectory')}" + (f", {parts}" if parts else "")
 
     def notes(self) -> Sequence[str]:
         """The lines of the text after its table."""
@@ -296,14 +296,16 @@ def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:
     if far:
         listed = ", ".join(f"`{one.trajectory}`" for one in far[:5]) + (", ..." if len(far) > 5 else "")
         names = ", ".join(f"`{name}`" for name in dict.fromkeys(name for one in far for name in one.extrapolated))
-        rows = sum(max(one.extrapolated.values()) for one in far)
-        warnings.append(f"{names} is extrapolated, far from its training data, in {rows} rows ({listed})")
+        rows = counted(sum(max(one.extrapolated.values()) for one in far), "row")
+        each = "is extrapolated, far from its" if ", " not in names else "are extrapolated, far from their"
+        warnings.append(f"{names} {each} training data, in {rows} ({listed})")
     estimated = [one.trajectory for one in errors if one.initial == "estimated"]
     if estimated:
         listed = ", ".join(f"`{label}`" for label in estimated[:5]) + (", ..." if len(estimated) > 5 else "")
+        number = counted(len(estimated), "trajectory")
         warnings.append(
-            f"the {what} of {len(estimated)} trajectories that training did not see ({listed}) were estimated from the "
-            "same measurements that the errors are computed from"
+            f"the {what} of {number} that training did not see ({listed}) were estimated from the same "
+            "measurements that the errors are computed from"
         )
     return warnings
 
@@ -343,7 +345,8 @@ def _against_truth(
         return None
     for name, norm in {"solution": found.solution, "right-hand side": found.rhs, **found.functions}.items():
         if norm.failed:
-            warnings.append(f"{name}: {norm.failed} points could not be computed and are excluded from the error")
+            points = counted(norm.failed, "point could not be computed and is", "points could not be computed and are")
+            warnings.append(f"{name}: {points} excluded from the error")
     return found
 
 

@@ -10,6 +10,7 @@ from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
 from gbspec.cli.standard_input import read
 from gbspec.diagnostics import Findings, Severity, UserError
+from gbspec.frames import counted
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
@@ -50,7 +51,7 @@ def run(
     output.document({"files": documents})
     warnings = [d for d in everything if d.severity is Severity.WARNING]
     if everything.failed or (strict and warnings):
-        counts = f"{_count(len(everything.errors), 'error')}, {_count(len(warnings), 'warning')}"
+        counts = f"{counted(len(everything.errors), 'error')}, {counted(len(warnings), 'warning')}"
         output.say(counts + (" (--strict counts warnings as errors)" if not everything.failed else ""))
         raise ExitWith(WRONG_INPUT)
 
@@ -128,7 +129,3 @@ def reasons(examination: Examination) -> list[str]:
         (answer.faint, "effects on what is observed are too small, beside those of others, to be told from rounding"),
     ]
     return [f" for {', '.join(names)}: {reason}" for names, reason in told if names] or [""]
-
-
-def _count(n: int, word: str) -> str:
-    return f"{n} {word}" + ("" if n == 1 else "s")

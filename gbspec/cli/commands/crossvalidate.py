@@ -12,6 +12,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.frames import counted
 from gbspec.runs import files
 from gbspec.studies import SUMMARY, CrossOptions
 from gbspec.training import TrainOptions
@@ -56,7 +57,8 @@ def run(
 
         def progress(fold: Fold) -> Progress:
             stack.close()  # ends the display of the previous fold
-            output.say(f"fold {fold.number}: {len(fold.kept)} trajectories, {fold.kept.measurements} values to fit")
+            kept = counted(len(fold.kept), "trajectory")
+            output.say(f"fold {fold.number}: {kept}, {counted(fold.kept.measurements, 'value')} to fit")
             return stack.enter_context(shown(output))
 
         found = crossvalidate(specified, measured, directory, options, division, progress)

@@ -10,6 +10,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Form, Settings, settings
 from gbspec.data import SimulateOptions
+from gbspec.frames import counted
 
 
 @command(
@@ -48,7 +49,8 @@ def run(
     write(to, data, subject.model)
     rejected = int(data.meta.get("rejected", 0)) + int(data.meta.get("failed", 0))
     again = f" ({rejected} drawn again)" if rejected else ""
-    output.say(f"wrote {to}: {len(data)} trajectories{again}, {data.measurements} measured values")
+    made = counted(len(data), "trajectory")
+    output.say(f"wrote {to}: {made}{again}, {counted(data.measurements, 'measured value')}")
     beyond = tables.far_outside(data, subject.model)
     for line in beyond:
         output.say(f"note: {line}")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gbspec.frames import counted
 from gbspec.report import collect
 from gbspec.report.content import Residuals
 from gbspec.report.description import Axis, Bars, Block, Figure, Panel, Points, Row, Rule
@@ -31,7 +32,7 @@ def _row(channel: Residuals, time: Axis) -> Row:
     y = Axis(f"residual of {'ln ' if channel.logarithmic else ''}{channel.name}")
     counts, edges = np.histogram(values, bins=max(5, min(40, int(math.sqrt(max(len(values), 1))))))
     predicted = Axis(f"predicted {channel.name}", channel.unit)
-    titles = (f"{channel.name}: {len(values)} values, rms {rms:.2g}", "")
+    titles = (f"{channel.name}: {counted(len(values), 'value')}, rms {rms:.2g}", "")
     panels = [
         Panel((Rule("y", 0.0), Points(x, values, "residual", LEARNED, 2.8, alpha=0.5, layer=3)), axis, y, title,
               width=3.84, height=2.15)

@@ -412,12 +412,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
     out = []
     for member, result in sorted(results.items()):
         if result.failed:
-            names = ", ".join(f"`{label}`" for label in result.failed[:5])
-            more = f" and {len(result.failed) - 5} more" if len(result.failed) > 5 else ""
-            out.append(
-                f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
-                "these trajectories do not count as fitted"
-            )
+            out.append(f"member {member}: {verdict.blown_up(result.failed)}")
         left = [*verdict.verdicts(result.channels, model), *_of_residuals(result, options, model)]
         left += verdict.above_stated(result.noise, model) if model is not None else []
         out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
@@ -426,7 +421,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
     out += said_of_minima(results)
     missing = options.members - len(results)
     if missing > 0:
-        out.append(f"{missing} of {options.members} members were not fitted")
+        out.append(f"{missing} of {options.members} members {'was' if missing == 1 else 'were'} not fitted")
     return out
 
 

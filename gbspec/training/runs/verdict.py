@@ -4,7 +4,7 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Findings
@@ -69,6 +69,15 @@ def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) 
     return out
 
 
+def blown_up(labels: Sequence[str]) -> str:
+    """What is said of trajectories whose solutions are not finite."""
+    names = ", ".join(f"`{label}`" for label in labels[:5])
+    more = f" and {len(labels) - 5} more" if len(labels) > 5 else ""
+    which = "trajectory" if len(labels) == 1 else "trajectories"
+    rest = "this trajectory does" if len(labels) == 1 else "these trajectories do"
+    return f"the solution from the initial state blows up in {which} {names}{more}; {rest} not count as fitted"
+
+
 def not_followed(found: ChannelRecord | None) -> bool:
     """Whether whole solutions follow a channel less well than the best naive predictor: what their residuals look like
     says nothing of the data then."""
@@ -117,10 +126,14 @@ def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: M
             if model is None or model.events or model.delays
             else (f", or write `observe {name} … noise student(s_{name}, 4)` with `learn s_{name} = {start} > 0`")
         )
+        one = found.outliers == 1
+        is_far = "is far from all others, and leaves" if one else "are far from all others, and leave"
+        what = "it is an outlier, or a row" if one else "they are outliers, or rows"
+        moves = "As an outlier it moves" if one else "As outliers they move"
         out.append(
-            f"{found.outliers} of {found.values} residuals of `{name}` are far from all others, and leave most of the "
-            "sum of squares: they are outliers, or rows that the model does not follow. As outliers they move the fit "
-            f"and widen its intervals: leave these cells empty{student}"
+            f"{found.outliers} of {found.values} residuals of `{name}` {is_far} most of the sum of squares: {what} "
+            f"that the model does not follow. {moves} the fit and widen{'s' if one else ''} its intervals: leave "
+            f"{'this cell' if one else 'these cells'} empty{student}"
             + ("" if model is None or model.networks else _UNFOLLOWED)
         )
     return out
