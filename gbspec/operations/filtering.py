@@ -40,7 +40,7 @@ def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[st
 def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:
     """Channels and states at all rows of a table, with bands, as the measurements of the first `window` rows (all of
     them without it) show them; of the best member."""
-    from gbspec.analysis import Forecast, PredictedTrajectory, Start, Trained, said_of_items
+    from gbspec.analysis import Forecast, PredictedTrajectory, Start, Trained, said_of_ends, said_of_items
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
@@ -74,7 +74,8 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         )
     channels, states = tuple(c.name for c in model.channels), tuple(s.name for s in model.states)
     names = (*channels, *(states[i] for i in hidden))
-    return Forecast(names, channels, states, tuple(items), 1, tuple(said_of_items(items)), model.time.name)
+    said = (*said_of_items(items), *said_of_ends(model, items, hidden))
+    return Forecast(names, channels, states, tuple(items), 1, said, model.time.name)
 
 
 def _uses(measured: Mask, window: int | None) -> tuple[Use, ...]:

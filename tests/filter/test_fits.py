@@ -163,7 +163,7 @@ def test_predictions_without_a_number_are_told(
     found = analysing.predict(run, replace(data, items=(item, replace(item, label="lost"))))
     assert found.items[1].failure and not found.items[0].failure
     assert any("`lost` could not be predicted" in text for text in found.warnings)
-    assert "shown by all of their measurements" in str(found)
+    assert "shown by all measurements" in str(found)
 
 
 def test_what_is_hidden_is_not_used(fitted: tuple[Run, Trajectories]) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import polars as pl
 
+from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
 from gbspec.analysis.prediction.estimate import estimator_of
 from gbspec.analysis.prediction.noise import interval, measured_deviations, noise_at
@@ -200,8 +201,8 @@ class Forecast(Tabled):
 ORIGINS = {
     "learned": "part of the training data: predicted from the learned initial state",
     "known": "the initial state is given by the first row and the model",
-    "estimated": "what is unknown of them was estimated from the first rows, with all shared parameters held fixed",
-    "smoothed": "shown by all of their measurements; `--window N` predicts the rows after the first N from these",
+    "estimated": "what is unknown was estimated from the first rows, with all shared parameters held fixed",
+    "smoothed": "shown by all measurements; `--window N` predicts the rows after the first N from these",
     "failed": "no initial state was found from which it can be solved",
 }
 
@@ -246,6 +247,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         warnings=(
             *said_of_items(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
             *_without_effect(items, window),
+            *said_of_ends(run.model, items, hidden),
         ),
     )
 

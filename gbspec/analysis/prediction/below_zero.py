@@ -1,0 +1,69 @@
+"""What is said of intervals that go below zero although the model declares that the quantity does not.
+
+The ends stay as they are computed: a measurement with additive noise may be negative, and an end that was moved to zero
+would hide that the noise, or the linearisation, does not suit values near zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.frames import counted
+from gbspec.passes import never_negative
+
+if TYPE_CHECKING:
+    from gbspec.ir import Model
+
+FAR = 0.1
+"""Nothing is said unless an end is further below zero than this fraction of the largest prediction of the quantity:
+values beyond a declared range are told of by the same fraction of its width."""
+
+
+class Predicted(Protocol):
+    """What is read of a predicted trajectory: its means and the lower ends of its intervals [R, V]."""
+
+    @property
+    def failure(self) -> str:
+        """Why it could not be predicted; empty if it was."""
+
+    @property
+    def mean(self) -> Array:
+        """The means."""
+
+    @property
+    def low(self) -> Array:
+        """The lower ends."""
+
+
+def said_of_ends(model: Model, items: Sequence[Predicted], hidden: Sequence[int]) -> list[str]:
+    """A warning for each channel, and each of the `hidden` states behind the channels, whose intervals reach far below
+    zero although its declared range does not."""
+    values = [*(channel.value for channel in model.channels), *(model.states[i].symbol for i in hidden)]
+    names = [*(channel.name for channel in model.channels), *(model.states[i].name for i in hidden)]
+    solved, found = [item for item in items if not item.failure], []
+    for j, (name, value) in enumerate(zip(names, values, strict=True)):
+        low, mean = (
+            np.concatenate([np.zeros(0), *(getattr(item, which)[:, j] for item in solved)]) for which in ("low", "mean")
+        )
+        least = float(np.min(low, initial=0.0, where=np.isfinite(low)))
+        largest = float(np.max(np.abs(mean), initial=0.0, where=np.isfinite(mean)))
+        if least < -FAR * largest and never_negative(model, value):
+            measured = j < len(model.channels)
+            rows = f"{int((low < 0).sum())} of {counted(len(low), 'row')} (to {least:.3g})"
+            found.append(
+                f"the 90 % intervals of `{name}` go below zero in {rows}, although by its declared range it does not: "
+                + (_MEASURED.format(name=name) if measured else _HIDDEN)
+            )
+    return found
+
+
+_MEASURED = (
+    "they are those of new measurements, around the model's value by as much to either side. Where measured values are "
+    "positive, `observe {name} … noise lognormal(0.1)` (their relative error; or `lognormal(s)` with "
+    "`learn s = 0.2 > 0`) has intervals above zero"
+)
+_HIDDEN = "they are linearised, by as much to either side. Values near zero are possible, negative ones are not"

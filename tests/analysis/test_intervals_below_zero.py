@@ -1,0 +1,63 @@
+"""Intervals of quantities that cannot be negative: not cut off, but told of, with what to write instead."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.analysis.prediction.forecast import Forecast, forecast
+from gbspec.data import Trajectories
+from gbspec.passes import never_negative
+from gbspec.training import TrainOptions, train
+from tests.training.conftest import model_of, trajectory
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+DECAY = "model m\ntime t from 0\nstate x in {range}\nlearn k = 0.5 in [0.05, 5]\nx' = -k*x\ninitial x = 10\n"
+
+
+def predicted(tmp_path: Path, observed: str, range_: str = "[0, 20]") -> Forecast:
+    """A decay to zero, measured with a noise of 2 in the long run (of 30 % where the noise is log-normal)."""
+    times = np.linspace(0.2, 8, 20)
+    random, made = np.random.default_rng(0), []
+    for label in "ab":
+        noise = random.standard_normal(20)
+        clean = 10 * np.exp(-0.6 * times)
+        values = clean * np.exp(0.3 * noise) if "lognormal" in observed else clean + 2 * noise
+        made.append(trajectory(label, 0.0, times, values[:, None], []))
+    model = model_of(DECAY.format(range=range_) + observed + "\n")
+    names = (model.channels[0].name,)
+    run = train(model, Trajectories((made[0],), names), TrainOptions(), tmp_path / "run")
+    return forecast(run, Trajectories((replace(made[1], label="new"),), names))
+
+
+def test_ends_below_zero_are_told_and_not_cut_off(tmp_path: Path) -> None:
+    found = predicted(tmp_path, "observe x")
+    (said,) = [text for text in found.warnings if "below zero" in text]
+    low = found.items[0].low[:, 0]
+    assert low.min() < -1, "the interval is that of a measurement, which may be negative"
+    assert f"`x` go below zero in {(low < 0).sum()} of 20 rows (to {low.min():.3g})" in said
+    assert "noise lognormal(" in said
+
+
+@pytest.mark.parametrize(
+    ("observed", "range_"),
+    [("observe x noise lognormal(0.3)", "[0, 20]"), ("observe x", "[-20, 20]"), ("observe d = x - 5", "[0, 20]")],
+)
+def test_nothing_is_said_of_what_may_be_negative_or_stays_above(tmp_path: Path, observed: str, range_: str) -> None:
+    assert not [text for text in predicted(tmp_path, observed, range_).warnings if "below zero" in text]
+
+
+@pytest.mark.parametrize(
+    ("value", "never"),
+    [("a", True), ("a + 2*b", True), ("a*b/(1 + a)", True), ("a - b", False), ("c", False), ("k*a", True)],
+)
+def test_what_a_model_declares_never_to_be_negative(value: str, never: bool) -> None:
+    model = model_of(
+        "model m\nstate a in [0, 9]\nstate b in [0, 9]\nstate c\nlearn k = 1 > 0\na' = -k*a\nb' = k*a - b\nc' = -c\n"
+        f"observe c\nobserve y = {value}\n"
+    )
+    assert never_negative(model, model.channels[1].value) == never
