@@ -115,7 +115,7 @@ class MarginalLikelihood:
         found = [theta]
         for other in others.elsewhere:
             found += [other] if all(self._apart(other, one) for one in found) else []
-        stuck = [self._at_bounds(each) for each in found]
+        stuck = [self._at_bounds(each[self.layout.slice()]) for each in found]
         if not all(each.any() for each in stuck):
             return found
         return found + (self._declared(theta, stuck[0]) if others.inside is None else [others.inside])
@@ -124,9 +124,9 @@ class MarginalLikelihood:
         """Whether two vectors differ in a parameter by more than `APART`."""
         return bool(np.abs(one[self.layout.slice()] - other[self.layout.slice()]).max(initial=0.0) > APART)
 
-    def _at_bounds(self, theta: Array) -> Mask:
-        """Which parameters [P] are at bounds."""
-        natural = self.layout.bijections.to_natural(torch.from_numpy(theta[self.layout.slice()])).numpy()
+    def _at_bounds(self, u: Array) -> Mask:
+        """Which parameters u [P] are at bounds."""
+        natural = self.layout.bijections.to_natural(torch.from_numpy(u)).numpy()
         near = [
             any(Bijection.of(k).distance(value, bound) < STUCK for bound in (k.range.low, k.range.high))
             for k, value in zip(self.layout.each, natural, strict=True)
@@ -209,15 +209,33 @@ class MarginalLikelihood:
         diagonal = np.maximum(np.diag(curvature), 1e-8 * max(float(np.diag(curvature).max()), 1e-300))
         promised, count = 0.0, len(now.weights)
         most = now.objective + self.likelihood.uncertain * (1 + abs(now.objective))
+        stuck = np.concatenate([np.zeros(count, dtype=np.bool_), self._at_bounds(now.u)])
         for trial in range(TRIALS):
-            step = -np.linalg.solve(curvature + damping * np.diag(diagonal), gradient)
+            damped = curvature + damping * np.diag(diagonal)
+            step = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
             if trial == 0:
                 promised = -0.5 * float(gradient @ step)
-            longest = float(np.abs(step[count:]).max(initial=0.0))
-            step *= min(1.0, LONGEST / longest) if longest > 0 else 1.0
+            step = _limited(step, damped, gradient, count, stuck)
             new = self.objective.at(now.weights + step[:count], now.u + step[count:], now.z, ridge)
             if new.objective <= most:
                 # A step that was tried in vain is not tried again at once.
                 return new, promised, max(damping / (10 if trial == 0 else 3), 1e-9)
             damping = max(damping * 6, 1e-4)
         return now, promised, 1e-3
+
+
+def _limited(step: Array, damped: Array, gradient: Array, count: int, stuck: Mask) -> Array:
+    """The step, of which no parameter after the first `count` (weights) moves further than `LONGEST`.
+
+    Where a constant is at its bound the slope of its scale vanishes, so that its step is endless. It moves by `LONGEST`
+    alone (`stuck`), and the others by what goes with that: shortened along with it, they would not move at all.
+    """
+    endless = stuck & (np.abs(step) > LONGEST)
+    step = np.where(endless, np.clip(step, -LONGEST, LONGEST), step)
+    rest = ~endless
+    if endless.any() and rest.any():
+        pull = gradient[rest] + damped[np.ix_(rest, endless)] @ step[endless]
+        step[rest] = -np.linalg.solve(damped[np.ix_(rest, rest)], pull)
+    longest = float(np.abs(step[count:][rest[count:]]).max(initial=0.0))
+    step[rest] *= min(1.0, LONGEST / longest) if longest > 0 else 1.0
+    return step

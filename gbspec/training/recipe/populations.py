@@ -81,12 +81,14 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
     effort = context.options.effort
     pooled = pooled_parameters(parameters)
     likelihoods = _Likelihoods(context, parameters)
+    # With distributed constants its minimum is only a start: few draws are enough where the effort is not high. With a
+    # learned noise alone it is the minimum, but for the noise.
+    patience: Effort = "low" if context.model.distributed and effort != "high" else effort
 
     def search(reached: Reached) -> Stage:
         engine, forced = (context.engine(pooled, blend) for blend in (0.0, 1.0))
-        # Its minimum is only a start: few draws are enough where the effort is not high.
-        patience: Effort = "high" if effort == "high" else "low"
-        return Pooled(Search(engine, forced, context.seed, patience), engine, parameters)
+        found = Search(engine, forced, context.seed, patience)
+        return Pooled(found, engine, parameters)
 
     def fitted(name: StageName) -> Planned:
         total = most_iterations(name, effort)
@@ -103,7 +105,7 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
     first = (
         [fitted(name) for name in (StageName.FUNCTIONS, StageName.POOLED, StageName.POOLED_AGAIN)]
         if parameters.n_weights
-        else [Planned(StageName.SEARCH, PATIENCE[effort].improved, search)]
+        else [Planned(StageName.SEARCH, PATIENCE[patience].improved, search)]
     )
     finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
     return [*first, likelihoods.marginal(), *finer, likelihoods.quadrature()]
