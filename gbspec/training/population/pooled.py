@@ -100,7 +100,10 @@ class Pooled:
         """One step of the inner stage."""
         inner = {name.removeprefix(INNER): value for name, value in state.items() if name.startswith(INNER)}
         outcome = self.stage.step(inner, iteration)
-        return replace(outcome, state=self._whole(outcome.state, state["theta"]))
+        note = outcome.note
+        if note and self.parameters.model.distributed:
+            note = f"with the same constants for all trajectories, where this fit began, {note}"
+        return replace(outcome, state=self._whole(outcome.state, state["theta"]), note=note)
 
     def _whole(self, inner: State, theta: Array) -> State:
         return {f"{INNER}{name}": value for name, value in inner.items()} | {

@@ -144,6 +144,24 @@ class SegmentsOfKnown:
         return [declared, *(drawn[i] for i in best)]
 
 
+def search_of_known(context: Context, parameters: Parameters, blend: float) -> Planned:
+    """The search for the best minimum, with teacher forcing of strength `blend` (0: of whole solutions)."""
+    effort = context.options.effort
+
+    def make(reached: Reached) -> Stage:
+        engine, forced = context.engine(parameters, blend), context.engine(parameters, 1.0) if blend == 0.0 else None
+        return Search(
+            engine,
+            forced,
+            context.seed,
+            effort,
+            context.unsized,
+            finer=lambda: context.engine(parameters, blend, 0.5),
+        )
+
+    return Planned(StageName.SEARCH, PATIENCE[effort].improved, make)
+
+
 def search_with_starts(context: Context, released: Parameters, drawn: Array, believed: Decision) -> Planned:
     """The search with measured initial values free (the layout `released`), where that with them as measured did not
     find its best minimum several times and they are single measurements of noisy data (`believed`). `drawn` [N,
@@ -156,8 +174,16 @@ def search_with_starts(context: Context, released: Parameters, drawn: Array, bel
 
     def make(reached: Reached) -> Stage:
         engine, patience = context.engine(released, 0.0), WITH_STARTS[effort]
-        name = StageName.SEARCH_STARTS
-        return Search(engine, None, context.seed, effort, patience=patience, name=name, drawn=drawn)
+        return Search(
+            engine,
+            None,
+            context.seed,
+            effort,
+            patience=patience,
+            name=StageName.SEARCH_STARTS,
+            drawn=drawn,
+            finer=lambda: context.engine(released, 0.0, 0.5),
+        )
 
     return Planned(StageName.SEARCH_STARTS, WITH_STARTS[effort].improved, make, unsure)
 

@@ -21,7 +21,7 @@ from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, Las
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
-from gbspec.training.recipe.known import SegmentsOfKnown, search_with_starts
+from gbspec.training.recipe.known import SegmentsOfKnown, search_of_known, search_with_starts
 from gbspec.training.recipe.other_start import OtherStart
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
@@ -31,7 +31,6 @@ from gbspec.training.recipe.thresholds import ThresholdSearch, learned_threshold
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
 from gbspec.training.recipe.whole import ENOUGH, ROUNDING, demanding, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts import PATIENCE, Search
 
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
@@ -120,12 +119,6 @@ class _Planner:
         plain = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2)
         context, parameters = self.context, self.parameters
 
-        def make(reached: Reached) -> Stage:
-            forced = context.engine(parameters, 1.0) if blend == 0.0 else None
-            return Search(
-                context.engine(parameters, blend), forced, context.seed, context.options.effort, context.unsized
-            )
-
         def believed(reached: Reached) -> bool:
             """Whether initial values are single measurements of noisy data."""
             measured = not np.array_equal(self.released.start_free, parameters.start_free)
@@ -147,7 +140,7 @@ class _Planner:
 
         released = self._at(0.0, 1.0, self.released)
         return [
-            Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
+            search_of_known(context, parameters, blend),
             *([segments.planned()] if blend == 0.0 else []),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain, segments.discarded),
             search_with_starts(context, self.released, parameters.start_free, believed),

@@ -87,7 +87,7 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
 
     def search(reached: Reached) -> Stage:
         engine, forced = (context.engine(pooled, blend) for blend in (0.0, 1.0))
-        found = Search(engine, forced, context.seed, patience)
+        found = Search(engine, forced, context.seed, patience, finer=lambda: context.engine(pooled, 0.0, 0.5))
         return Pooled(found, engine, parameters)
 
     def fitted(name: StageName) -> Planned:

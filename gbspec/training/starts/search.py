@@ -8,7 +8,7 @@ step, until the best minimum has been found several times or the effort is spent
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,10 @@ APART = 0.2
 """Minima are compared if a constant differs by more than this, relatively."""
 MOST_MINIMA = 4
 """So many minima that are equally good are remembered."""
+SETTLED = 1e-6
+"""The relative fall of the objective at which those that are compared have come to rest."""
+IDLE = 0.1
+"""A constant by whose change by this (on the scale of training) no residual changes is not compared."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,8 @@ class Search:
     Every third start is first improved with teacher forcing by `forced`: errors from one measurement to the next have
     fewer minima than those of whole solutions, whose best one they often lead to. The initial values of states of
     unknown size (`unsized`) are solved for at each draw: they go with its constants. Of other learned initial states
-    those are drawn that `drawn` [N, n_states] has as 1 (default: all).
+    those are drawn that `drawn` [N, n_states] has as 1 (default: all). `finer` makes the engine with half the step, at
+    which minima that seem to be equally good are looked at again: a step that is too long may make them up.
     """
 
     def __init__(
@@ -138,15 +143,19 @@ class Search:
         patience: Patience | None = None,
         name: StageName = StageName.SEARCH,
         drawn: Array | None = None,
+        finer: Callable[[], Engine] | None = None,
     ) -> None:
-        self.name = name.value
+        self.name, self.finer = name.value, finer
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
         self.unsized, self.drawn = unsized, self.parameters.start_free if drawn is None else drawn
         self.patience = patience or patience_of(effort, engine)
         self.options, self.iterations = OPTIONS, ITERATIONS
         columns = self.parameters.n_shared + self.parameters.n_local
-        self.indistinct = min(SAME, 1 / max(int(engine.problem.seen.sum()), 1))
-        """Relative differences of objectives by which the data do not tell two minima apart: 1 in -2 log likelihood."""
+        self.count = max(int(engine.problem.seen.sum()), 1)
+        self.indistinct = min(SAME, 1 / self.count)
+        """Relative differences of objectives that are none: of those minima the one nearest to the start is taken."""
+        self.unclear = math.expm1(1 / self.count)
+        """Those by which the data do not tell two minima apart: 1 in -2 log likelihood."""
         self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
 
     def begin(self, theta: Array) -> State:
@@ -205,6 +214,7 @@ class Search:
         enough = len(found) >= self.patience.least and count >= times
         done = enough or iteration + 1 >= len(starts)
         if done:
+            minima = self._lasting(minima)
             theta, best = self._best_of_own(self._preferred(minima, theta, best), best)
         endless = int(state.get("endless", 0))
         why = f" (in {endless} events follow each other without end)" if endless else ""
@@ -218,22 +228,48 @@ class Search:
 
     # ---------------------------------------------------------------- minima that are equally good
     def _minima(self, state: State, reached: float, vector: Array, best: float) -> State:
-        """The minima as good as the best one, and their objectives, with the one that was just reached if it is new."""
+        """The minima that the data do not tell from the best one, and their objectives, with the one that was just
+        reached if it is new."""
         minima = state.get("minima", np.zeros((0, len(vector))))  # a search that an older version began has none
         values = state.get("values", np.zeros(0))
-        as_good = best * (1 + self.indistinct) + EXACT
-        if reached <= as_good and len(minima) < MOST_MINIMA and all(self._apart(vector, one) for one in minima):
+        as_good = best * (1 + self.unclear) + EXACT
+        if reached <= as_good and all(self._apart(vector, one, self.engine) for one in minima):
             minima, values = np.concatenate([minima, vector[None]]), np.append(values, reached)
-        kept = values <= as_good
+        first = np.sort(np.argsort(values, kind="stable")[:MOST_MINIMA])
+        kept = first[values[first] <= as_good]
         return {"minima": minima[kept], "values": values[kept]}
 
-    def _apart(self, one: Array, other: Array) -> bool:
-        """Whether two vectors are separate minima: a constant differs clearly, and half-way between them is worse."""
+    def _lasting(self, minima: State) -> State:
+        """Of several minima those that are as good at half the step, with their objectives there.
+
+        A fast decay makes solutions up where the step is too long for it, and such a solution may fit: with half the
+        step it is another one. A start may also rest on its way to another one's minimum.
+        """
+        vectors = minima["minima"]
+        if self.finer is None or len(vectors) < 2:
+            return minima
+        half = self.finer()
+        settled = np.array([self._descended(half, one, self.iterations, SETTLED) for one in vectors])
+        values = np.array([self._objective(one, half) for one in settled])
+        as_good = float(values.min()) * (1 + self.unclear) + EXACT
+        kept: list[int] = []
+        for i in np.argsort(values, kind="stable"):
+            stays = self._objective(vectors[i], half) <= as_good or not self._differ(vectors[i], settled[i])
+            if stays and values[i] <= as_good and all(self._apart(settled[i], settled[j], half) for j in kept):
+                kept.append(int(i))
+        return {"minima": vectors[kept], "values": values[kept]}
+
+    def _differ(self, one: Array, other: Array) -> bool:
+        """Whether a constant differs clearly between two vectors."""
         first, second = self._shared(one), self._shared(other)
-        if not (np.abs(first - second) > APART * np.maximum(np.abs(first), np.abs(second))).any():
+        return bool((np.abs(first - second) > APART * np.maximum(np.abs(first), np.abs(second))).any())
+
+    def _apart(self, one: Array, other: Array, engine: Engine) -> bool:
+        """Whether two vectors are separate minima: a constant differs clearly, and half-way between them is worse."""
+        if not self._differ(one, other):
             return False
-        highest = max(self._objective(one), self._objective(other))
-        return not self._objective(0.5 * (one + other)) <= highest * (1 + self.indistinct) + EXACT
+        highest = max(self._objective(one, engine), self._objective(other, engine))
+        return not self._objective(0.5 * (one + other), engine) <= highest * (1 + self.indistinct) + EXACT
 
     def _shared(self, theta: Array) -> Array:
         """The constants that all trajectories share, in natural units."""
@@ -242,24 +278,52 @@ class Search:
 
     def _preferred(self, minima: State, theta: Array, best: float) -> Array:
         """Of equally good minima the one nearest to the declared starting values: the data do not choose."""
-        if len(minima["minima"]) < 2:
+        values = minima["values"]
+        equal = minima["minima"][values <= values.min(initial=np.inf) * (1 + self.indistinct) + EXACT]
+        if not len(equal):
             return theta
         declared = self.parameters.vector(self.parameters.natural(theta))[self.parameters.places]
-        distances = np.linalg.norm(minima["minima"][:, self.parameters.places] - declared, axis=1)
-        return np.asarray(minima["minima"][int(np.argmin(distances))])
+        distances = np.linalg.norm(equal[:, self.parameters.places] - declared, axis=1)
+        nearest = np.asarray(equal[int(np.argmin(distances))])
+        return nearest if self._differ(nearest, theta) else theta
 
     def _others(self, minima: State, theta: Array) -> str:
-        """A warning of minima that are as good as the one that was taken."""
-        learnables = self.parameters.model.learnables
-        names = [learnables[i].name for i in self.parameters.shared]
-        others = [self._shared(one) for one in minima["minima"] if self._apart(one, theta)]
-        texts = [", ".join(f"{name} {value:.3g}" for name, value in zip(names, one, strict=True)) for one in others]
-        if not texts:
+        """A warning of minima that the data do not tell from the one that was taken."""
+        told = [(self._text(one), value) for one, value in self._rivals(minima, theta)]
+        if not told:
             return ""
-        return (
-            f"other constants fit the data equally well: {'; or '.join(texts)}. The one nearest to the declared "
-            "starting values was taken; narrower bounds, a prior or a starting value say which is meant"
+        least = float(minima["values"].min())
+        rises = [self.count * math.log(value / least) if least > EXACT else 0.0 for _, value in told]
+        far = max(rises) > self.count * math.log1p(self.indistinct)
+        listed = [
+            f"{text} (-2 log likelihood higher by {rise:.2g})" if far else text
+            for (text, _), rise in zip(told, rises, strict=True)
+        ]
+        taken = (
+            "The best one was taken, but the data do not rule the others out, and intervals do not contain them"
+            if far
+            else "The one nearest to the declared starting values was taken"
         )
+        return (
+            f"other constants fit the data equally well: {'; or '.join(listed)}. {taken}; narrower bounds, a prior or "
+            "a starting value say which is meant"
+        )
+
+    def _rivals(self, minima: State, theta: Array) -> list[tuple[Array, float]]:
+        """The minima other than the one that was taken, with their objectives."""
+        pairs = zip(minima["minima"], minima["values"], strict=True)
+        return [(one, float(value)) for one, value in pairs if self._apart(one, theta, self.engine)]
+
+    def _text(self, theta: Array) -> str:
+        """The constants of a vector by which solutions change (the size of a learned noise does not change them)."""
+        learnables, before = self.parameters.model.learnables, residual_vector(self.engine, theta)
+        texts = []
+        for i, value in zip(range(len(self.parameters.shared)), self._shared(theta), strict=True):
+            moved = theta.copy()
+            moved[self.parameters.n_weights + i] += IDLE
+            if not np.array_equal(residual_vector(self.engine, moved), before):
+                texts.append(f"{learnables[self.parameters.shared[i]].name} {value:.3g}")
+        return ", ".join(texts)
 
     def _plausible(self, theta: Array, best: float) -> bool:
         """Whether the residuals at a vector look like noise."""
@@ -300,9 +364,10 @@ class Search:
         return ComputationError(what, where=cause.where, remedy=cause.remedy)
 
     # ---------------------------------------------------------------- objective
-    def _objective(self, theta: Array) -> float:
-        residuals = residual_vector(self.engine, theta)
-        return mean_loss(residuals) + _penalty(self.engine, theta, residuals) / max(len(residuals), 1)
+    def _objective(self, theta: Array, engine: Engine | None = None) -> float:
+        engine = engine or self.engine
+        residuals = residual_vector(engine, theta)
+        return mean_loss(residuals) + _penalty(engine, theta, residuals) / max(len(residuals), 1)
 
     # ---------------------------------------------------------------- improvement
     def _improve(self, theta: Array, place: int) -> tuple[float, Array]:
@@ -323,12 +388,12 @@ class Search:
             theta, best = trial, reached
         return theta, best
 
-    def _descended(self, engine: Engine, theta: Array, iterations: int) -> Array:
+    def _descended(self, engine: Engine, theta: Array, iterations: int, tolerance: float | None = None) -> Array:
         """The vector after some iterations of Levenberg-Marquardt, or the last one from which they were possible."""
         control = engine.problem.control
         # Adaptive steps: below a tenth of the tolerance, residuals are the error of the steps.
         least = 0.0 if control is None else 0.5 * (0.1 * control.rtol) ** 2
-        options = replace(self.options, enough=max(EXACT, least))
+        options = replace(self.options, enough=max(EXACT, least), tolerance=tolerance or self.options.tolerance)
         stage = LevenbergMarquardt(self.name, iterations, lambda i: engine, options)
         state = stage.begin(theta)
         for i in range(iterations):
