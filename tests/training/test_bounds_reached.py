@@ -31,6 +31,30 @@ def test_what_ended_at_a_bound(tmp_path: Path, k: float, wanted: list[tuple[str,
     assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted
 
 
+@pytest.mark.parametrize(
+    ("bounds", "k", "sd", "wanted"),
+    [
+        ("in [0.005, 5] = 0.2", 4.9996, 0.0028, [("k", 5.0)]),
+        ("in [10, 90] = 60", 10.334, 4.0, [("k", 10.0)]),
+        ("in [10, 90] = 60", 14.0, 4.0, []),
+        ("in [0, 1] = 0.5", 0.75, 4.8, []),
+        ("> 0 = 0.5", 0.01, 0.4, []),
+        ("in [10, 90] = 60", 10.334, float("nan"), []),
+    ],
+)
+def test_a_constant_far_closer_to_a_bound_than_its_standard_deviation_is_at_it(
+    tmp_path: Path, bounds: str, k: float, sd: float, wanted: list[tuple[str, float]]
+) -> None:
+    """Its interval on the scale of training, which ends at the bound, would reach from 0.15 to 5 beside 0.0028."""
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k {bounds}"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    assert at_bounds(model, {"k": k}, {"k": sd}) == wanted
+    result = cast(MemberResult, SimpleNamespace(channels={"x": ChannelRecord(0.9, 0.2)}, constants={"k": k}))
+    found = said_of_constants(model, {}, [(0, *each) for each in wanted], {0: result})
+    assert len(found) == len(wanted)
+    assert all(f"`k` ended at {k:g}, beside its bound" in one for one in found)
+
+
 @pytest.mark.parametrize(("rate", "stopped"), [(5.0, True), (1.5, False)])
 def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
     (tmp_path / "m.gb").write_text(TEXT)
@@ -162,7 +186,7 @@ def test_a_fit_that_follows_no_data_says_nothing_of_its_constants(tmp_path: Path
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k = 0.5 in [0.1, 2]"))
     model = gbspec.load(tmp_path / "m.gb").model
     constants = {"k": ConstantRecord(0.5, 0.9, (0.1, 2.0), 0.5, (0.5,), None)}
-    result = cast(MemberResult, SimpleNamespace(channels={"x": ChannelRecord(r2, 0.2)}))
+    result = cast(MemberResult, SimpleNamespace(channels={"x": ChannelRecord(r2, 0.2)}, constants={"k": 2.0}))
     found = said_of_constants(model, constants, [(0, "k", 2.0)], {0: result})
     assert any("not determined" in text for text in found) is not lost
     assert any("widen the bounds" in text for text in found) is not lost

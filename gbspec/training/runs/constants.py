@@ -27,6 +27,10 @@ NEGLIGIBLE = 0.3
 NEAR, CLEAR = 1e-5, 5.0
 """A constant closer to a bound than the fraction `NEAR` of its range is at the bound, unless it is `CLEAR` standard
 deviations away from it."""
+BESIDE, NARROW = 1 / 3, 0.1
+"""So is one that is closer to it than `BESIDE` of its standard deviation, where that is below `NARROW` of the bounds'
+width (a larger one is that of a constant which the data do not show). The scale of training ends at a bound: its slope
+tells nothing of the ends of an interval that are several times as far off as the bound."""
 COVERED = 0.9
 """An interval that covers this fraction of the bounds says no more than they do."""
 EXACT = 1e-20
@@ -128,7 +132,8 @@ def at_bounds(
 
     Where bounds are so far apart that training uses their logarithms, so does this. With a single bound, the distance
     of the starting value from it is used as the width. A constant that lies several of its standard deviations `sd`
-    away from the bound is not at the bound, however wide the range.
+    away from the bound is not at the bound, however wide the range; between two bounds one that lies much closer to it
+    than its standard deviation is.
     """
     out = []
     for learnable in model.learnables:
@@ -137,14 +142,21 @@ def at_bounds(
             continue
         value, scale = constants[learnable.name], Bijection.of(learnable)
         deviation = (sd or {}).get(learnable.name, float("nan"))
+        width = _of_width(learnable, value, deviation)
         for bound in (low, high):
-            if scale.distance(value, bound) < NEAR and not abs(value - bound) > CLEAR * deviation:
+            near = scale.distance(value, bound) < NEAR and not abs(value - bound) > CLEAR * deviation
+            if near or (width < NARROW and scale.distance(value, bound) < BESIDE * width):
                 out.append((learnable.name, bound))
     return out
 
 
-NARROW = 0.1
-"""A standard deviation below this share of the bounds' width is not that of a constant which the data do not show."""
+def _of_width(learnable: Learnable, value: float, sd: float | None) -> float:
+    """A standard deviation as a part of the width of two bounds, on the scale of training; NaN if it is not known."""
+    scale = Bijection.of(learnable)
+    if sd is None or not scale.two_sided:
+        return math.nan
+    natural = abs(value) if scale.logarithmic else 1.0
+    return sd / natural / abs(scale.width) if natural else math.nan
 
 
 def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
@@ -160,8 +172,8 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
         if abs(high - low) < COVERED * abs(most - least):
             continue
         near = min((bounds.low, bounds.high), key=lambda bound: abs(record.value - bound))
-        sd = record.sd / abs(record.value) if bounds.logarithmic and record.sd and record.value else record.sd
-        if sd is not None and sd < NARROW * abs(most - least) and abs(record.value - near) < 3 * (record.sd or 0.0):
+        narrow = _of_width(learnable, record.value, record.sd) < NARROW
+        if narrow and abs(record.value - near) < 3 * (record.sd or 0.0):
             out.append(
                 f"`{learnable.name}` lies at its bound {near:g}, within its standard deviation of {record.sd:.2g}; its "
                 "interval, which cannot leave the bounds, says nothing there: widen the bounds if values beyond are "
@@ -187,18 +199,34 @@ def said_of_constants(
     astray = lost(results)
     unclear = undetermined(model, constants) if len(astray) < len(results) else []
     meant = [one for one in ended if one[1] not in results[one[0]].vanished]
-    return [*unclear, *ended_at_bounds(meant, astray)]
+    beside = {
+        (member, name): results[member].constants[name]
+        for member, name, bound in meant
+        if (name, bound) not in at_bounds(model, results[member].constants)
+    }
+    return [*unclear, *ended_at_bounds(meant, astray, beside)]
 
 
-def ended_at_bounds(ended: Iterable[tuple[int, str, float]], astray: AbstractSet[int]) -> list[str]:
-    """A warning for each constant of a member that ended at a bound."""
+def ended_at_bounds(
+    ended: Iterable[tuple[int, str, float]], astray: AbstractSet[int], beside: Mapping[tuple[int, str], float]
+) -> list[str]:
+    """A warning for each constant of a member that ended at a bound; `beside`: the values of those that are only closer
+    to it than their standard deviations."""
 
     def meaning(member: int, bound: float) -> str:
         if member in astray:
             return "since its solutions do not follow the data, that says nothing of where the constant lies"
         return "the data do not need it" if not bound else "widen the bounds if values beyond it are plausible"
 
+    def where(member: int, name: str, bound: float) -> str:
+        if (member, name) not in beside:
+            return f"its bound {bound:g}"
+        return (
+            f"{beside[member, name]:.5g}, beside its bound {bound:g} (nearer than a third of its standard deviation): "
+            "no standard deviation or interval holds there"
+        )
+
     return [
-        f"member {member}: `{name}` ended at its bound {bound:g}; {meaning(member, bound)}"
+        f"member {member}: `{name}` ended at {where(member, name, bound)}; {meaning(member, bound)}"
         for member, name, bound in ended
     ]

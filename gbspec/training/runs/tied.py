@@ -76,8 +76,9 @@ def said_of_tied(tied: dict[str, float], ended: list[str]) -> list[str]:
     verb, their = ("has", "its") if len(tied) == 1 else ("have", "their")
     factor = max(tied.values())
     times = "over 1,000" if factor > 1000 else f"{factor:.2g}"
+    them = "it" if len(ended) == 1 else "them"
     return [
-        f"{names} {verb} no interval: the data tie {their} value to {bounds}, which ended at a bound; free of it, "
+        f"{names} {verb} no interval: the data tie {their} value to {bounds}, which ended at a bound; free of {them}, "
         f"{their} standard deviation would be {times} times as large. `gbspec profile` shows what the data say; a "
         "prior, or a value that is known (`const`), helps"
     ]
