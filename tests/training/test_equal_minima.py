@@ -83,6 +83,17 @@ def test_a_minimum_that_is_hardly_worse_is_named(tmp_path: Path, learned: str, n
     assert "c 1.34, delta 0.626, V0 1.31e+06 (-2 log likelihood higher by 0.9)" in warning
 
 
+def test_a_profile_goes_on_where_the_deviance_flattens(tmp_path: Path) -> None:
+    """The deviance rises to 2.2 at 0.95, falls to 1 at 1.34 and passes 2.71 near 1.75: six values were used up at 0.96,
+    in ever smaller steps."""
+    (tmp_path / "m.gb").write_text(VIRUS.format("", "0.3"))
+    (tmp_path / "d.csv").write_text("t,V\n" + "".join(f"{t},{1000 * value}\n" for t, value in RNA.items()))
+    gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run")
+    found = gbspec.open_run(tmp_path / "run").profile("c")
+    assert found.low == pytest.approx(0.735, abs=0.005)
+    assert found.high == pytest.approx(1.75, abs=0.05)
+
+
 FORMULATIONS = """\
 model formulations
 time t : h from 0

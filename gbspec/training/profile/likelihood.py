@@ -306,7 +306,7 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
     """
     found: list[_Fitted] = []
     stride = direction * min(math.sqrt(profiler.threshold) * profiler.deviation, WIDEST)
-    here, inside, place = best, (0.0, 0.0), FIRST
+    here, last, inside, place = best, (0.0, 0.0), (0.0, 0.0), FIRST
     outside = math.inf
     for _ in range(most):
         entry = float(best.theta[profiler.column]) + place * stride
@@ -322,7 +322,7 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
             progress(here.value, deviance)
         root = math.sqrt(max(deviance, 0.0) / profiler.threshold)
         if root <= 1.0:
-            inside = place, root
+            last, inside = inside, (place, root)
             if math.isfinite(outside) and root > NEAR[0]:
                 break
         else:
@@ -332,10 +332,17 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
         aimed = (
             inside[0] + (place - inside[0]) * (BEYOND - inside[1]) / (root - inside[1])
             if root > 1.0
-            else (place * min(BEYOND / max(root, 1e-9), 2.0))
+            else _further(last, inside)
         )
         place = min(aimed, 0.5 * (inside[0] + outside)) if math.isfinite(outside) and root <= 1.0 else aimed
     return found
+
+
+def _further(last: tuple[float, float], here: tuple[float, float]) -> float:
+    """The place beyond two others inside, by the root's rise between them: at most twice as far. A root that bends down
+    would be approached in ever smaller steps by its rise from the estimate on."""
+    rise = (here[1] - last[1]) / (here[0] - last[0])
+    return min(here[0] + (BEYOND - here[1]) / max(rise, 1e-9), 2.0 * here[0])
 
 
 def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler) -> Profile:
