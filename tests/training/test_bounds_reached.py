@@ -12,7 +12,7 @@ import pytest
 import gbspec
 from gbspec.runs import ChannelRecord, ConstantRecord
 from gbspec.training.problem import Bijection
-from gbspec.training.runs.constants import at_bounds, inside_bounds, said_of_constants, undetermined
+from gbspec.training.runs.constants import at_bounds, inside_bounds, said_of_constants, undetermined, unsettled
 from gbspec.training.runs.summary import MemberResult
 
 TEXT = """\
@@ -23,6 +23,12 @@ x' = -k*x
 initial x = 1
 observe x
 """
+
+
+def member(channel: ChannelRecord, k: float) -> MemberResult:
+    """What is asked of a member here."""
+    found = SimpleNamespace(left=[], vanished=frozenset(), channels={"x": channel}, constants={"k": k})
+    return cast(MemberResult, found)
 
 
 @pytest.mark.parametrize(("k", "wanted"), [(2.0 - 1e-7, [("k", 2.0)]), (1e-6, [("k", 0.0)]), (1.9, []), (0.01, [])])
@@ -49,7 +55,7 @@ def test_a_constant_far_closer_to_a_bound_than_its_standard_deviation_is_at_it(
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k {bounds}"))
     model = gbspec.load(tmp_path / "m.gb").model
     assert at_bounds(model, {"k": k}, {"k": sd}) == wanted
-    result = cast(MemberResult, SimpleNamespace(channels={"x": ChannelRecord(0.9, 0.2)}, constants={"k": k}))
+    result = member(ChannelRecord(0.9, 0.2), k)
     found = said_of_constants(model, {}, [(0, *each) for each in wanted], {0: result})
     assert len(found) == len(wanted)
     assert all(f"`k` ended at {k:g}, beside its bound" in one for one in found)
@@ -186,8 +192,17 @@ def test_a_fit_that_follows_no_data_says_nothing_of_its_constants(tmp_path: Path
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k = 0.5 in [0.1, 2]"))
     model = gbspec.load(tmp_path / "m.gb").model
     constants = {"k": ConstantRecord(0.5, 0.9, (0.1, 2.0), 0.5, (0.5,), None)}
-    result = cast(MemberResult, SimpleNamespace(channels={"x": ChannelRecord(r2, 0.2)}, constants={"k": 2.0}))
+    result = member(ChannelRecord(r2, 0.2), 2.0)
     found = said_of_constants(model, constants, [(0, "k", 2.0)], {0: result})
     assert any("not determined" in text for text in found) is not lost
     assert any("widen the bounds" in text for text in found) is not lost
     assert any("says nothing of where the constant lies" in text for text in found) is lost
+
+
+def test_a_constant_that_alone_has_no_interval_is_told() -> None:
+    known = {name: ConstantRecord(1.0, sd, None if sd is None else (0.5, 1.5), 1.0, (1.0,)) for name, sd in
+             (("a", 0.1), ("b", None))}  # fmt: skip
+    (text,) = unsettled(known, [], {})
+    assert text.startswith("`b` has no interval: the fit has not come to rest there")
+    assert not unsettled(known, [(0, "b", 0.0)], {})
+    assert not unsettled({"b": known["b"]}, [], {})

@@ -204,7 +204,27 @@ def said_of_constants(
         for member, name, bound in meant
         if (name, bound) not in at_bounds(model, results[member].constants)
     }
-    return [*unclear, *ended_at_bounds(meant, astray, beside)]
+    return [*unclear, *ended_at_bounds(meant, astray, beside), *unsettled(constants, ended, results)]
+
+
+def unsettled(
+    constants: Mapping[str, ConstantRecord],
+    ended: Sequence[tuple[int, str, float]],
+    results: Mapping[int, MemberResult],
+) -> list[str]:
+    """A warning for constants that alone of all have no interval, and for no reason that is told elsewhere."""
+    shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
+    told = " ".join(text for result in results.values() for text in result.left if "no interval" in text)
+    at_ends = {name for _, name, _ in ended}
+    found = [n for n, one in shared.items() if one.sd is None and n not in at_ends and f"`{n}`" not in told]
+    if not found or all(record.sd is None for record in shared.values()):
+        return []
+    names, verb = ", ".join(f"`{name}`" for name in found), "has" if len(found) == 1 else "have"
+    return [
+        f"{names} {verb} no interval: the fit has not come to rest there (a next step would be longer than the "
+        "standard deviation), as where the data hardly show a constant, or a function takes its place. `--effort high` "
+        "goes on; a prior, a contract or a value (`const`) says what the data do not"
+    ]
 
 
 def ended_at_bounds(
