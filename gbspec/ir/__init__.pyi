@@ -8,6 +8,7 @@ from .arrays import Family as Family
 from .arrays import StateArray as StateArray
 from .arrays import Total as Total
 from .arrays import Vector as Vector
+from .categories import category_text as category_text
 from .categories import not_categories as not_categories
 from .categories import whole as whole
 from .censoring import Censored as Censored

@@ -11,6 +11,11 @@ from gbspec.diagnostics import Diagnostic
 from gbspec.ir.model import Condition
 
 
+def category_text(name: str) -> str:
+    """The name of a category as it is written in a model: in quotes, if it is not a word."""
+    return name if name.isidentifier() else f'"{name}"'
+
+
 def whole(conditions: Sequence[Condition], values: Array) -> Array:
     """Values of conditions [..., n] within their ranges, those of categories and groups as whole numbers.
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from sympy.core.numbers import Float
+from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
 from gbspec.ir.algebra import EquationBlock
 from gbspec.ir.arrays import Family, StateArray
+from gbspec.ir.categories import category_text
 from gbspec.ir.distributions import Distribution, Level, Noise
 from gbspec.ir.events import Event, Timing
 from gbspec.ir.model import NN, Condition, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
@@ -22,7 +24,24 @@ class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
 
 
 class _LanguagePrinter(_Printer):
-    """Prints what a `.gb` file would have: `if`, `max`, `min`, `abs`, `and`, `or`, `not`."""
+    """Prints what a `.gb` file would have: `if`, `max`, `min`, `abs`, `and`, `or`, `not`, and the names of categories
+    with which `conditions` are compared."""
+
+    def __init__(self, conditions: Iterable[Condition] = ()) -> None:
+        super().__init__()
+        self._categories = {c.symbol: c.categories for c in conditions if c.categories}
+
+    def _print_Relational(self, expr: Expr) -> str:  # noqa: N802
+        left, right = (self.parenthesize(part, precedence(expr)) for part in expr.args)
+        if expr.rel_op not in ("==", "!="):
+            return f"{left} {expr.rel_op} {right}"
+        for symbol, number in (expr.args, expr.args[::-1]):
+            if symbol in self._categories and number.is_number:
+                left, right = str(symbol), category_text(self._categories[symbol][int(number)])
+        return f"{left} == {right}" if expr.rel_op == "==" else f"not ({left} == {right})"
+
+    def _print_Exp1(self, expr: Expr) -> str:  # noqa: N802
+        return "exp(1)"
 
     def _print_Piecewise(self, expr: Expr) -> str:  # noqa: N802
         text = self._print(expr.args[-1][0])
@@ -50,7 +69,6 @@ class _LanguagePrinter(_Printer):
 
 
 _PRINTER = _Printer()
-_LANGUAGE_PRINTER = _LanguagePrinter()
 
 
 def written(expression: Expr) -> str:
@@ -58,9 +76,9 @@ def written(expression: Expr) -> str:
     return str(_PRINTER.doprint(expression))
 
 
-def in_language(expression: Expr) -> str:
-    """An expression as a `.gb` file would have it."""
-    return str(_LANGUAGE_PRINTER.doprint(expression)).replace("**", "^")
+def in_language(expression: Expr, conditions: Iterable[Condition] = ()) -> str:
+    """An expression as a `.gb` file would have it, with the names of the categories of these conditions."""
+    return str(_LanguagePrinter(conditions).doprint(expression)).replace("**", "^")
 
 
 def contract_text(contract: Contract) -> str:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import sympy
 from sympy.polys.matrices import DomainMatrix
 
-from gbspec.ir import Expr, Model, in_language, uninfused
+from gbspec.ir import Condition, Expr, Model, in_language, uninfused
 from gbspec.passes.terms import Opened, branching, constants_of, larger_than
 
 K = TypeVar("K")
@@ -26,6 +26,8 @@ class Law:
     """A linear combination of states that is constant in time; coefficients in constants and learnables."""
 
     coefficients: tuple[tuple[str, Expr], ...]
+    conditions: tuple[Condition, ...] = field(default=(), compare=False, repr=False)
+    """Those of the model, for the names of their categories."""
 
     @property
     def expression(self) -> Expr:
@@ -33,7 +35,7 @@ class Law:
         return sympy.Add(*(c * sympy.Symbol(name, real=True) for name, c in self.coefficients))
 
     def __str__(self) -> str:
-        return as_text(self.expression)
+        return in_language(self.expression, self.conditions)
 
 
 def as_text(expression: Expr) -> str:
@@ -67,7 +69,8 @@ def _laws(model: Model, balances: Sequence[Expr], known: int) -> tuple[Law, ...]
     back = {symbol: branch for branch, symbol in branches.items()}
     found = ([opened.close(value.xreplace(back)) for value in vector] for vector in vectors)
     names = [model.states[i].name for i in conserved]
-    return tuple(Law(tuple((n, v) for n, v in zip(names, law, strict=True) if v != 0)) for law in found)
+    pairs = (tuple((n, v) for n, v in zip(names, law, strict=True) if v != 0) for law in found)
+    return tuple(Law(coefficients, model.conditions) for coefficients in pairs)
 
 
 def _completed(laws: tuple[Law, ...], every: tuple[Law, ...]) -> tuple[Law, ...]:

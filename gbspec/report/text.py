@@ -73,7 +73,8 @@ def model_summary(model: Model) -> str:
         lines += [f"  {name} {text}" for name, text in kept if text]
     lines += [f"learned {_learnable(learnable)}" for learnable in model.learnables]
     for word, names in (
-        ("conditions", [_condition(c) for c in model.conditions]),
+        ("conditions", [_condition(c) for c in model.conditions if not c.labels]),
+        ("grouped by", [c.name for c in model.conditions if c.labels]),
         ("inputs", [f"{i.name} ({i.interpolation})" for i in model.inputs]),
         ("measured", _measured(model)),
     ):
@@ -108,10 +109,10 @@ def _states(model: Model) -> Iterator[tuple[str, str, State]]:
         alike = array is not None and all(s.initial == state.initial for s in model.states[place : place + array.count])
         if array is not None and (alike or family is not None):
             value = state.initial if family is None else Initial("expression", family.value)
-            yield array.range, start(value, place in measured), state
+            yield array.range, start(model, value, place in measured), state
             place += array.count
         else:
-            yield state.name, start(state.initial, place in measured), state
+            yield state.name, start(model, state.initial, place in measured), state
             place += 1
 
 
@@ -142,15 +143,16 @@ def _first(run: Family | int) -> int:
     return run if isinstance(run, int) else run.begin
 
 
-def start(initial: Initial, measured: bool) -> str:
+def start(model: Model, initial: Initial, measured: bool) -> str:
     """The origin of the initial value of a state, which a channel measures as it is or not, in words."""
-    import sympy
+    from gbspec.ir import in_language
 
+    value = "" if initial.value is None else in_language(initial.value, model.conditions)
     match initial.kind:
         case "expression":
-            return f"= {sympy.sstr(initial.value, full_prec=False)}"
+            return f"= {value}"
         case "steady":
-            return f"steady, reached from {sympy.sstr(initial.value, full_prec=False)}"
+            return f"steady, reached from {value}"
         case "learned":
             return "learned"
         case "measured":

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from gbspec.diagnostics import Findings
+from gbspec.ir import category_text
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
@@ -114,7 +115,7 @@ def _in_numbers(node: ast.Expression, known: Known, findings: Findings) -> ast.E
 
 def _not_a_number(name: ast.Name, known: Known, findings: Findings) -> None:
     message = f"`{name.text}` is one of some categories, not a number: it is compared by `==`"
-    help = f"write e.g. `if({name.text} == {_written(known[name.text][0])}, 1, 0)`, in a `let` for an unknown"
+    help = f"write e.g. `if({name.text} == {category_text(known[name.text][0])}, 1, 0)`, in a `let` for an unknown"
     findings.error("GB380", message, name.span, help=help)
 
 
@@ -123,12 +124,7 @@ def _number(node: ast.Expression, condition: str, names: tuple[str, ...], findin
     name = node.text if isinstance(node, ast.Name) else node.span.text
     if name in names and isinstance(node, ast.Name):
         return ast.Number(node.span, str(names.index(name)))
-    listed = "its categories are " + ", ".join(f"`{_written(one)}`" for one in names)
+    listed = "its categories are " + ", ".join(f"`{category_text(one)}`" for one in names)
     message = f"`{condition}` has no category `{name}`"
     findings.error("GB379", message, node.span, help=suggestion(name, set(names)) or listed)
     return ast.Number(node.span, "0")
-
-
-def _written(name: str) -> str:
-    """The name as it is written in a model: in quotes, if it is not a word."""
-    return name if name.isidentifier() else f'"{name}"'

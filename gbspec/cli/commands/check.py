@@ -87,7 +87,7 @@ def describe(
         "identifiability": identifiability(examination) if examination else None,
         "diagnostics": [to_json(d) for d in findings],
         "channels": [channel.name for channel in parts.channels],
-        "starts": {s.name: start(s.initial, i in measured) for i, s in enumerate(parts.states)},
+        "starts": {s.name: start(parts, s.initial, i in measured) for i, s in enumerate(parts.states)},
     }
 
 
