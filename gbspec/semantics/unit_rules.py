@@ -13,10 +13,10 @@ from gbspec.semantics.dimensions import NEEDS_UNIT, Units
 from gbspec.semantics.merge import Item
 from gbspec.semantics.processes import Term
 from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Table
+from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.unification import Solution, factor_between
 from gbspec.semantics.units import ONE, Namespace, Unit, read
-from gbspec.syntax import PREDICTION, Kind, ast, target_name
+from gbspec.syntax import PREDICTION, Kind, ast, normalise, target_name
 
 Terms = Mapping[str, Sequence[tuple[bool, Term]]]
 Usable = Callable[[ast.Expression], bool]
@@ -361,6 +361,7 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
     used.update(d.name for d in units.table.values() if d.kind is Kind.STATE)
     if any(d.kind is Kind.STATE for d in units.table.values()):
         used.update(d.name for d in units.table.values() if d.kind is Kind.TIME)
+    told: set[Span] = set()
     for declaration in units.table.values():
         name = declaration.name
         if declaration.kind not in NEEDS_UNIT or name not in used:
@@ -375,13 +376,24 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
         units.solution.equal(unit, ONE, units.solution.origins.get(name, place))
         for other, _ in unit.unknowns:
             units.solution.solved.setdefault(other, ONE)
-        findings.warning(
-            "GB550",
-            f"`{name}` has no unit, and the rest of the model does not determine it",
-            place,
-            help=_how(name, declaration.kind),
-            subject=name,
-        )
+        if place not in told:  # several names may be declared by one: elements, and constants of categories
+            told.add(place)
+            written = _written(declaration)
+            findings.warning(
+                "GB550",
+                f"`{written}` has no unit, and the rest of the model does not determine it",
+                place,
+                help=_how(written, declaration.kind),
+                subject=name if declaration.span is None else normalise(declaration.span.text),
+            )
+
+
+def _written(declaration: Declaration) -> str:
+    """A name as its declaration has it: that of the array for an element, and of the constant for one of a category."""
+    statement = declaration.statement
+    if isinstance(statement, ast.StateStatement | ast.AlgebraicStatement):
+        return statement.declarator.span.text
+    return declaration.name if declaration.span is None else declaration.span.text
 
 
 def _mixed(units: Units, findings: Findings) -> None:
@@ -425,15 +437,10 @@ def _how(name: str, kind: Kind) -> str:
         Kind.ALGEBRAIC: "algebraic",
         Kind.CONDITION: "condition",
         Kind.INPUT: "input",
-    }.get(kind)
-    word = (
-        word
-        or {
-            Kind.CONST: "const",
-            Kind.LEARN: "learn",
-            Kind.TABLE: "table",
-            Kind.UNKNOWN: "unknown",
-        }[kind]
-    )
+        Kind.CONST: "const",
+        Kind.LEARN: "learn",
+        Kind.TABLE: "table",
+        Kind.UNKNOWN: "unknown",
+    }[kind]
     arguments = "(…)" if kind in (Kind.TABLE, Kind.UNKNOWN) else ""
     return f"declare it: `{word} {name}{arguments} : UNIT` (a pure number has the unit `1`)"
