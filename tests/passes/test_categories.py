@@ -32,6 +32,14 @@ def test_a_condition_that_nothing_depends_on_changes_nothing(categories: str, ba
     assert codes == ["GB401"]
 
 
+def test_a_function_of_a_function_of_all_states_is_one_of_everything() -> None:
+    text = "state X in [0.1, 9]\nlearn a = 1 in [0, 5]\nunknown g(y)\nunknown h(X)\nobserve X\nX' = a - g(h(X))\n"
+    found, codes = answer(text)
+    assert found.decided
+    assert [set(each.names) for each in found.sets] == [{"a", "g", "h"}]
+    assert codes == ["GB401"]
+
+
 def test_expansions_of_high_order_have_values() -> None:
     """25! is no whole number of 64 bits."""
     algebra = Algebra(25, 0)

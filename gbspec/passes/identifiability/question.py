@@ -110,7 +110,11 @@ class Question:
         every = {s.symbol for s in model.states} | {c.symbol for c in model.conditions if not c.categories}
         if self.alone:
             every = {model.time.symbol}
-        free = {a.value for a in self.applications if every <= {s for e in a.arguments for s in e.free_symbols}}
+        free: set[sympy.Symbol] = set()
+        for application in self.applications:  # inner ones first: a function of a free one is free too
+            inside = {s for e in application.arguments for s in e.free_symbols}
+            if every <= inside or inside & free:
+                free.add(application.value)
         return frozenset(i for i, rate in enumerate(self.rates) if not rate.free_symbols & free)
 
     @property
