@@ -83,12 +83,15 @@ def test_a_minimum_that_is_hardly_worse_is_named(tmp_path: Path, learned: str, n
     assert "c 1.34, delta 0.626, V0 1.31e+06 (-2 log likelihood higher by 0.9)" in warning
 
 
-def test_a_profile_goes_on_where_the_deviance_flattens(tmp_path: Path) -> None:
-    """The deviance rises to 2.2 at 0.95, falls to 1 at 1.34 and passes 2.71 near 1.75: six values were used up at 0.96,
-    in ever smaller steps."""
+def test_a_constant_beside_another_one_at_its_bound_has_the_interval_of_its_profile(tmp_path: Path) -> None:
+    """With delta at its bound c seems to be known to 7 %, and it rises as delta goes inside of it. Its deviance rises
+    to 2.2 at 0.95, falls to 1 at 1.34 and passes 2.71 near 1.75: six values were used up at 0.96."""
     (tmp_path / "m.gb").write_text(VIRUS.format("", "0.3"))
     (tmp_path / "d.csv").write_text("t,V\n" + "".join(f"{t},{1000 * value}\n" for t, value in RNA.items()))
-    gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run").run.fit
+    assert fit.constants["c"].interval is None and fit.constants["V0"].interval is not None
+    (warning,) = [text for text in fit.warnings if "`c` has no interval" in text]
+    assert "to `delta`, which ended at a bound" in warning and "would be 0.7401 to 0.8506" in warning
     found = gbspec.open_run(tmp_path / "run").profile("c")
     assert found.low == pytest.approx(0.735, abs=0.005)
     assert found.high == pytest.approx(1.75, abs=0.05)

@@ -1,24 +1,28 @@
 """Constants whose estimates follow from another one's bound, so that they have no interval of their own.
 
 A constant that ended at its bound is fixed there in the curvature of a fit. Where the data tie others to it, their
-standard deviations hold if it is at the bound, and say nothing of what the data alone tell.
+standard deviations hold if it is at the bound, and say nothing of what the data alone tell: either the linearised fit
+with both free shows that, or, where only constants are learned, fits on the way inside from the bound.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.training.engines import Engine
-from gbspec.training.optimise import loosened
+from gbspec.diagnostics import ComputationError
+from gbspec.training.engines import Engine, TorchEngine, residual_vector
+from gbspec.training.optimise import Anchor, Penalised, loosened, minimise, noise_variance
 from gbspec.training.problem import Bijection, Bijections, Integers, Parameters
 from gbspec.training.recipe import Context, step_fraction
-from gbspec.training.runs.constants import EXACT, at_bounds
+from gbspec.training.runs.constants import EXACT, QUANTILE, at_bounds, inside_bounds
 from gbspec.training.runs.summary import MemberResult, whole_solutions
+from gbspec.training.runs.verdict import widening
 
 INSIDE = 1e-5
 """Constants at bounds count as so far inside of them (as a fraction of the range on the scale of training), where the
@@ -26,6 +30,35 @@ slopes of this scale can still be computed."""
 TIED = 3.0
 """Constants are tied to those at bounds where their standard deviations are over this many times as large with these
 free."""
+WAY = (0.01, 0.03, 0.07, 0.15, 0.25, 0.4, 0.6, 0.8)
+"""Shares of the range, on the scale of training, by which a constant is moved inside from its bound."""
+ACCURACY, WEAK = 0.02, 1e-3
+"""A fit on this way has converged if its deviance is not predicted to fall by more; the damping of its directions."""
+STEPS, JACOBIANS = 12, 4
+"""Steps with one Jacobian, and Jacobians, of each such fit."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A constant that leaves its interval, `low` to `high`, as another one moves inside from its bound: to `value`,
+    when that one is at `inner`."""
+
+    name: str
+    low: float
+    high: float
+    bounded: str
+    inner: float
+    value: float
+
+    @property
+    def words(self) -> str:
+        """A sentence for the summary."""
+        return (
+            f"`{self.name}` has no interval: the data tie its value to `{self.bounded}`, which ended at a bound; while "
+            f"they allow `{self.bounded}` to be inside of it, at {self.inner:.3g}, `{self.name}` is {self.value:.3g} "
+            f"there, and its interval at the bound would be {self.low:.4g} to {self.high:.4g}. `gbspec profile` shows "
+            "what the data say; a prior, or a value that is known (`const`), helps"
+        )
 
 
 def without_tied(
@@ -38,9 +71,91 @@ def without_tied(
     if not ended or context.model.diffusions:
         return []
     blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
-    tied = tied_to_bounds(context.engine(parameters, blend, step_fraction(stages)), theta, ended)
+    engine = context.engine(parameters, blend, step_fraction(stages))
+    tied = tied_to_bounds(engine, theta, ended)
     result.sd |= dict.fromkeys(tied, math.nan)
-    return said_of_tied(tied, ended)
+    followed = []
+    # Jacobians of delays by the torch graph take seconds each.
+    if not parameters.n_weights and not (context.model.delays and isinstance(engine, TorchEngine)):
+        threshold = (QUANTILE * widening(result.channels or {})) ** 2
+        followed = _followed(
+            context, engine, theta, {name: at[name] for name in ended}, _intervals(result, context), threshold
+        )
+        result.sd |= {one.name: math.nan for one in followed}
+    return [*said_of_tied(tied, ended), *(one.words for one in followed)]
+
+
+def _intervals(result: MemberResult, context: Context) -> dict[str, tuple[float, float]]:
+    """The intervals of the constants that have one."""
+    each = {k.name: k for k in context.model.learnables}
+    found = {
+        name: inside_bounds(each[name], result.constants[name], sd)
+        for name, sd in result.sd.items()
+        if math.isfinite(sd) and not each[name].per_trajectory
+    }
+    return {name: ends for name, ends in found.items() if ends is not None}
+
+
+def _followed(
+    context: Context,
+    engine: Engine,
+    theta: Array,
+    at: Mapping[str, float],
+    intervals: Mapping[str, tuple[float, float]],
+    threshold: float,
+) -> list[Followed]:
+    """The constants that leave their `intervals` while those `at` bounds move inside as far as the data allow: until
+    the deviance, with everything else refitted, is above the `threshold`."""
+    parameters, residuals = engine.parameters, residual_vector(engine, theta)
+    used = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+    variance = noise_variance(engine.problem, residuals, float("inf"), used)
+    problem = replace(engine.problem, scaling=replace(engine.problem.scaling, noise=math.sqrt(variance)))
+    target = Penalised(context.choice.engine(problem, parameters), 0.0, np.zeros(0))
+    names = [parameters.model.learnables[i].name for i in parameters.shared]
+    furthest: dict[str, tuple[float, Followed]] = {}
+    for bounded, bound in at.items():
+        for values in _inwards(target, theta, names.index(bounded), bound, variance, threshold):
+            natural = dict(zip(names, map(float, values), strict=True))
+            for name, (low, high) in intervals.items():
+                beyond = max(low - natural[name], natural[name] - high) if name not in at else 0.0
+                if beyond > (furthest[name][0] if name in furthest else 0.0):
+                    furthest[name] = beyond, Followed(name, low, high, bounded, natural[bounded], natural[name])
+    return [furthest[name][1] for name in names if name in furthest]
+
+
+def _inwards(
+    target: Penalised, theta: Array, place: int, bound: float, variance: float, threshold: float
+) -> list[Array]:
+    """The shared constants, in natural units, of fits with one of them (at `place`) further and further inside of its
+    bound, as long as the deviance is below the threshold."""
+    parameters = target.parameters
+    learnable, maps = parameters.model.learnables[parameters.shared[place]], parameters.bijections(parameters.shared)
+    column, least, found = parameters.n_weights + place, target.value(theta), []
+    now = _inside(parameters, theta, np.array([place], dtype=np.int64))
+    for share in WAY:
+        moved = now.copy()
+        moved[column] = Bijections.of((learnable,)).from_natural(
+            np.array([Bijection.of(learnable).inside(bound, share)])
+        )[0]
+        try:
+            now, objective = _refitted(target, moved, column, variance)
+        except (ComputationError, np.linalg.LinAlgError):
+            break
+        if not 2 * (objective - least) / variance <= threshold:
+            break
+        found.append(np.asarray(maps.to_natural(torch.from_numpy(now[parameters.places])).numpy()))
+    return found
+
+
+def _refitted(target: Penalised, theta: Array, column: int, variance: float) -> tuple[Array, float]:
+    """The vector and the objective of the fit with one entry held."""
+    enough = 0.5 * ACCURACY * variance
+    for _ in range(JACOBIANS):
+        rest = minimise(target, Anchor(target.equations(theta), WEAK * variance, column), theta, enough, STEPS)
+        theta = rest.theta
+        if rest.promised <= enough:
+            break
+    return theta, rest.objective
 
 
 def tied_to_bounds(engine: Engine, theta: Array, ended: list[str]) -> dict[str, float]:
