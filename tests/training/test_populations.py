@@ -146,6 +146,20 @@ def assert_slopes_of_constants(made: Marginal, u: np.ndarray, weights: np.ndarra
         assert slopes[..., p] == pytest.approx(difference, rel=tolerance, abs=tolerance)
 
 
+@pytest.mark.usefixtures("quick_fit")
+@pytest.mark.parametrize(("share", "said"), [(1.15, True), (6.0, False)])
+def test_a_spread_that_is_not_told_apart_from_none_is_named(tmp_path: Path, share: float, said: bool) -> None:
+    """Means of four values differ by `share` of the variance that their noise alone would give."""
+    within = np.array([1.0, -1.0, 1.0, -1.0]) * np.sqrt(0.75)
+    values = 5 + np.where(np.arange(8) % 2, 1.0, -1.0)[:, None] * np.sqrt(share / 4) + within
+    model = model_of(LEVEL, tmp_path)
+    data = tables.read_data(table(tmp_path, values, np.arange(1.0, 5.0)), model, Findings())
+    fit = train(model, data, TrainOptions(), tmp_path / "run").fit
+    assert fit.population is not None
+    assert fit.population.effects["m"].sd == pytest.approx(np.sqrt((share - 1) / 4), rel=0.01)
+    assert any("the spread of `m`" in text and "not told apart from none" in text for text in fit.warnings) is said
+
+
 @pytest.mark.parametrize("text", [DECAY, NETWORK], ids=["decay", "network"])
 def test_constants_follow_the_parameters_as_differences_say(tmp_path: Path, text: str) -> None:
     model, data = decays(tmp_path, text)

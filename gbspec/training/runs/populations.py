@@ -22,6 +22,11 @@ EXACTLY = 1e-6
 VANISHED = 1e-3
 """A spread of logarithms (of logits; relative to the start of a normal one) below this is none."""
 
+NONE, OPEN, TOLD = 1e-5, 0.1, 2.706
+"""A spread is compared with one of this size, which is none, where its interval reaches below a tenth of it. Data do
+not tell it apart from none if -2 log likelihood is higher by less than the last number without it: the 95 % point, as
+a spread cannot be negative (Self and Liang 1987)."""
+
 UNLIKE = 1e-3
 """Prediction errors that chance would give in fewer fits than this are not those of the model."""
 
@@ -71,7 +76,8 @@ def with_population(
     tables = _tables(context, found, objective)
     errors = _errors(context, tables)
     made_result.vanished, infinite = _unbounded(context, found, tables)
-    made_result.left += [*infinite, *_vanished(objective, found), *said_of_errors(errors)]
+    spreads = [*_vanished(objective, found), *_doubtful(objective, found)]
+    made_result.left += [*infinite, *spreads, *said_of_errors(errors)]
     return made_result, Described(
         replace(_record(context, found, objective), npde=errors),
         _objective(found, objective),
@@ -83,18 +89,25 @@ def with_population(
 
 def _vanished(objective: Objective, found: PopulationResult) -> list[str]:
     """A warning for each learned spread that ended at zero."""
+    return [
+        f"the spread of `{name}` between values of `{column}` ended at zero: these data show no such differences, and "
+        "each has the median. Too few values of each, a wrong noise, or a model that lacks something hide them as well"
+        for name, column, place, size in _spreads(objective, found)
+        if found.estimates.value[place] < VANISHED * size
+    ]
+
+
+def _spreads(objective: Objective, found: PopulationResult) -> list[tuple[str, str, int, float]]:
+    """The constant, the column, the place among the estimates and the unit of each learned spread."""
     out = []
     for learnable in objective.layout.distributed:
         made = learnable.distribution
         assert made is not None
         columns = ("trajectory", *(level.column for level in made.levels))
         size = (abs(learnable.start) or 1.0) if made.kind == "normal" else 1.0
+        each = zip(columns, made.spreads, strict=True)
         out += [
-            f"the spread of `{learnable.name}` between values of `{column}` ended at zero: these data show no such "
-            "differences, and each has the median. Too few values of each, a wrong noise, or a model that lacks "
-            "something hide them as well"
-            for column, (name, _) in zip(columns, made.spreads, strict=True)
-            if name is not None and found.estimates.value[found.estimates.at(name)] < VANISHED * size
+            (learnable.name, column, found.estimates.at(name), size) for column, (name, _) in each if name is not None
         ]
     return out
 
@@ -126,6 +139,43 @@ def _unbounded(context: Context, found: PopulationResult, tables: PopulationTabl
 
 def _estimate(found: PopulationResult, name: str) -> float:
     return float(found.estimates.value[found.estimates.at(name)])
+
+
+def _doubtful(objective: Objective, found: PopulationResult) -> list[str]:
+    """A warning for each learned spread that the data do not tell apart from none: its interval, which is that of its
+    logarithm, may cover several powers of ten."""
+    out, known = [], found.estimates
+    for name, column, place, size in _spreads(objective, found):
+        value, low, high = (float(of[place]) for of in (known.value, known.low, known.high))
+        if value < VANISHED * size or not low < OPEN * value:
+            continue
+        rise = _without(objective, found, place, NONE * size) - found.point.objective
+        if rise < TOLD:
+            out.append(
+                f"the spread of `{name}` between values of `{column}`, {value:.3g}, is not told apart from none by "
+                f"these data: without it -2 log likelihood is higher by {max(rise, 0.0):.2g} only (2.7 would tell), "
+                f"and its interval, {low:.3g} to {high:.3g}, says nothing. Leave the distribution out, or measure more"
+            )
+    return out
+
+
+def _without(objective: Objective, found: PopulationResult, place: int, none: float) -> float:
+    """The objective where the spread at a place of u is `none`, after a scoring step of the other parameters."""
+    point, layout = found.point, objective.layout
+    u = point.u.copy()
+    natural = layout.natural(torch.from_numpy(u)).numpy().copy()
+    natural[place] = none
+    u[place] = layout.bijections.from_natural(natural)[place]
+    without = objective.at(point.weights, u, point.z, found.ridge, afresh=True)
+    if not np.isfinite(without.objective):
+        return float("inf")
+    count = len(point.weights)
+    rest = np.setdiff1d(np.arange(count + len(u)), [count + place])
+    curvature = objective.curvature(without, found.ridge)[np.ix_(rest, rest)]
+    step = np.zeros(count + len(u))
+    step[rest] = -np.linalg.pinv(curvature, hermitian=True) @ objective.gradient(without, found.ridge)[rest]
+    moved = objective.at(point.weights + step[:count], u + step[count:], without.z, found.ridge)
+    return float(np.nanmin([without.objective, moved.objective]))
 
 
 def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecord]:
