@@ -10,11 +10,13 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.files import finite
+from gbspec.ir import Model
 from gbspec.runs import Covariance, EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
 from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.tied import without_tied
 
 EXACTLY = 1e-6
 """A noise below this part of a channel's median one is none."""
@@ -73,6 +75,8 @@ def with_population(
         own_sd=found.individual_sd[:, pick],
         noise=_noise(context, found, objective),
     )
+    if _one_sum_of_squares(context.model):
+        made_result.left += without_tied(made_result, context, parameters, theta, begun)
     tables = _tables(context, found, objective)
     errors = _errors(context, tables)
     made_result.vanished, infinite = _unbounded(context, found, tables)
@@ -85,6 +89,15 @@ def with_population(
         _info(objective, found),
         found.shared,
     )
+
+
+def _one_sum_of_squares(model: Model) -> bool:
+    """Whether the likelihood has its maximum where a sum of squares has its minimum: all trajectories have the same
+    constants, and the one channel has a noise of one size, which is learned."""
+    if model.distributed or len(model.channels) != 1:
+        return False
+    noise = model.channels[0].noise
+    return noise is not None and noise.kind != "student" and noise.value is not None and noise.value.is_Symbol
 
 
 def _vanished(objective: Objective, found: PopulationResult) -> list[str]:

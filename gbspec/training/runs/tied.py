@@ -36,6 +36,7 @@ ACCURACY, WEAK = 0.02, 1e-3
 """A fit on this way has converged if its deviance is not predicted to fall by more; the damping of its directions."""
 STEPS, JACOBIANS = 12, 4
 """Steps with one Jacobian, and Jacobians, of each such fit."""
+SHOWN, HELPS = "`gbspec profile` shows what the data say", "A prior, or a value that is known (`const`), helps"
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,7 @@ class Followed:
         return (
             f"`{self.name}` has no interval: the data tie its value to `{self.bounded}`, which ended at a bound; while "
             f"they allow `{self.bounded}` to be inside of it, at {self.inner:.3g}, `{self.name}` is {self.value:.3g} "
-            f"there, and its interval at the bound would be {self.low:.4g} to {self.high:.4g}. `gbspec profile` shows "
-            "what the data say; a prior, or a value that is known (`const`), helps"
+            f"there, and its interval at the bound would be {self.low:.4g} to {self.high:.4g}"
         )
 
 
@@ -82,7 +82,9 @@ def without_tied(
             context, engine, theta, {name: at[name] for name in ended}, _intervals(result, context), threshold
         )
         result.sd |= {one.name: math.nan for one in followed}
-    return [*said_of_tied(tied, ended), *(one.words for one in followed)]
+    # Profiles of models with learned noises are not offered.
+    helps = HELPS if context.model.marginal else f"{SHOWN}. {HELPS}"
+    return [*said_of_tied(tied, ended, helps), *(f"{one.words}. {helps}" for one in followed)]
 
 
 def _intervals(result: MemberResult, context: Context) -> dict[str, tuple[float, float]]:
@@ -183,8 +185,8 @@ def _inside(parameters: Parameters, theta: Array, held: Integers) -> Array:
     return out
 
 
-def said_of_tied(tied: dict[str, float], ended: list[str]) -> list[str]:
-    """A sentence for constants without an interval."""
+def said_of_tied(tied: dict[str, float], ended: list[str], helps: str) -> list[str]:
+    """A sentence for constants without an interval, with what `helps`."""
     if not tied:
         return []
     names, bounds = (" and ".join(f"`{name}`" for name in each) for each in (tied, ended))
@@ -194,6 +196,5 @@ def said_of_tied(tied: dict[str, float], ended: list[str]) -> list[str]:
     them = "it" if len(ended) == 1 else "them"
     return [
         f"{names} {verb} no interval: the data tie {their} value to {bounds}, which ended at a bound; free of {them}, "
-        f"{their} standard deviation would be {times} times as large. `gbspec profile` shows what the data say; a "
-        "prior, or a value that is known (`const`), helps"
+        f"{their} standard deviation would be {times} times as large. {helps}"
     ]
