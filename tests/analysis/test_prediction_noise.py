@@ -10,6 +10,7 @@ import pytest
 
 from gbspec.analysis.prediction.forecast import forecast
 from gbspec.data import Trajectories
+from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of, trajectory
 
@@ -99,3 +100,16 @@ def test_the_noise_of_a_measured_first_value_is_part_of_a_prediction(tmp_path: P
     for data, first in ((one, 0.1), (replicated, 0.05)):
         (item,) = forecast(run, data).items
         np.testing.assert_allclose(item.sd[:, 0], np.hypot(0.1, first), rtol=0.05)
+
+
+def test_a_learned_initial_value_is_as_uncertain_as_its_constant(tmp_path: Path) -> None:
+    """At the start a prediction is that constant, and its variance that of the noise and of the constant."""
+    model = model_of(DECAY.format(more="learn a = 30 in [1, 100]", start="a", noise="normal(4)"))
+    item = decays([50.0], 0.1, 3).items[0]
+    run = train(model, Trajectories((item,), ("x",)), TrainOptions(), tmp_path / "run")
+    empty = {"values": np.array([[np.nan]]), "counts": np.zeros((1, 1)), "sd": np.array([[np.nan]])}
+    new = Trajectories((replace(item, label="new", times=np.array([1e-6]), **empty),), ("x",))  # type: ignore[arg-type]  # arrays by name
+    known = forecast(run, new).items[0].sd[0, 0]
+    (tmp_path / "run" / "members" / "0" / "covariance.safetensors").unlink()
+    noise = forecast(open_run(tmp_path / "run"), new).items[0].sd[0, 0]
+    assert np.sqrt(known**2 - noise**2) == pytest.approx(run.fit.constants["a"].sd, rel=0.5)

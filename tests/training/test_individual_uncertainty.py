@@ -52,11 +52,16 @@ def test_trajectories_that_do_not_differ_are_as_uncertain_as_their_median(tmp_pa
         assert each.sd == pytest.approx(record.sd, rel=0.02)
 
 
-def test_predictions_of_a_population_do_not_offer_members(tmp_path: Path) -> None:
-    """Further members would end at the same maximum of the likelihood."""
+def test_predictions_of_a_population_contain_the_uncertainty_of_medians(tmp_path: Path) -> None:
+    """Where the covariance is not known, as in an older run, no members are offered: they would end alike."""
     model, data, _ = levels(tmp_path)
     options = TrainOptions(workers=1, backend="torch", effort="low")
     train(model, data, options, tmp_path / "run")
-    found = gbspec.open_run(tmp_path / "run").predict(tmp_path / "data.csv")
-    (said,) = [text for text in found.warnings if "too narrow" in text]
+    (tmp_path / "new.csv").write_text("trajectory,t,x\nnew,0,6.5\nnew,1,\n")
+    found = gbspec.open_run(tmp_path / "run").predict(tmp_path / "new.csv")
+    assert not [text for text in found.warnings if "too narrow" in text]
+    (tmp_path / "run" / "members" / "0" / "covariance.safetensors").unlink()
+    without = gbspec.open_run(tmp_path / "run").predict(tmp_path / "new.csv")
+    (said,) = [text for text in without.warnings if "too narrow" in text]
     assert "medians" in said and "--members" not in said
+    assert found.items[0].sd[1, 0] > without.items[0].sd[1, 0]

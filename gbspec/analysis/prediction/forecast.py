@@ -347,9 +347,13 @@ class _MemberPredictions:
             for state, deviation in measured_deviations(self.run, item, self.estimator.free(seen)).items():
                 change = deviation * self._slope(item, start, deviation, state=state)
                 variance = variance + refitted(change) ** 2
-            variance = variance + self.displaced.variance(
-                start, variables, lambda evaluator, moved: self._solve(item, moved, evaluator)[1], refitted
-            )
+
+            def solve(evaluator: Evaluator, moved: Start) -> Array:
+                # Initial values that are expressions, or steady states, follow from the displaced constants.
+                begun = started(evaluator, item, moved.state, moved.constants, moved.origin)
+                return self._solve(item, begun, evaluator)[1]
+
+            variance = variance + self.displaced.variance(start, variables, solve, refitted)
         return _View(found, variables, variance)
 
     def _solve(self, item: Trajectory, start: Start, evaluator: Evaluator | None = None) -> tuple[Prediction, Array]:

@@ -16,6 +16,7 @@ from .planning import FIRST_RIDGE as FIRST_RIDGE
 from .planning import plan as plan
 from .populations import marginal_objective as marginal_objective
 from .preparation import initial as initial
+from .preparation import prepare as prepare
 from .recognition_network import recognition as recognition
 from .stiffness import chosen_solver as chosen_solver
 from .stiffness import prepared as prepared
