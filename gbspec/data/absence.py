@@ -23,14 +23,17 @@ def absent_states(model: Model, items: Sequence[Trajectory]) -> Mask:
     out = np.zeros((len(items), len(model.states)), dtype=np.bool_)
     if model.diffusions or model.delays:
         return out
-    place = {
-        channel.state: j
-        for j, channel in enumerate(model.channels)
-        if channel.state is not None and model.states[channel.state].initial.kind == "measured"
-    }
+    places: dict[int, list[int]] = {}
+    for j, channel in enumerate(model.channels):
+        if channel.state is not None and model.states[channel.state].initial.kind == "measured":
+            places.setdefault(channel.state, []).append(j)
     staying: dict[frozenset[int], frozenset[int]] = {}
     for k, item in enumerate(items):
-        zero = frozenset(i for i, j in place.items() if _zero(item, j) and not _changed(model, item, i))
+        zero = frozenset(
+            i for i, each in places.items() if all(_zero(item, j) for j in each) and not _changed(model, item, i)
+        )
+        if not zero:
+            continue
         if zero not in staying:
             staying[zero] = _staying(model, zero)
         out[k, sorted(staying[zero])] = True

@@ -101,6 +101,12 @@ def compare(runs: Sequence[Run]) -> Comparison:
             message = f"`{run.path}` and `{runs[0].path}` do not observe the same columns of the table"
             help_text = "likelihoods are compared of the same measured values"
             raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+        if _counts(run) != _counts(runs[0]):
+            message = f"`{run.path}` and `{runs[0].path}` were fitted to different numbers of values of the same table"
+            help_text = (
+                "zeros of a state that one model keeps at 0 do not count in its fit; empty these cells to compare both"
+            )
+            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
         found.append((run, _compared(run, population)))
     ways = {run.fit.population.nodes for run, _ in found if run.fit.population is not None}
     if len(ways) > 1:
@@ -113,6 +119,12 @@ def compare(runs: Sequence[Run]) -> Comparison:
 def _measured(run: Run) -> frozenset[str]:
     """The columns of the table that a run's model observes."""
     return frozenset(channel.column for channel in run.model.channels)
+
+
+def _counts(run: Run) -> dict[str, int | None]:
+    """The number of values of each column that a run was fitted to."""
+    channels = next((one.channels for one in run.fit.members if one.channels), None) or {}
+    return {channel.column: channels[channel.name].values for channel in run.model.channels if channel.name in channels}
 
 
 def _compared(run: Run, population: PopulationRecord) -> Compared:

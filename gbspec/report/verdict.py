@@ -17,7 +17,7 @@ from gbspec.runs import CERTAIN, FOLLOWED, how_followed
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
-    from gbspec.runs import Run
+    from gbspec.runs import ChannelRecord, Run
 
 VAGUE = 0.5
 """Half a 90 % interval, relative to the value, from which a constant is hardly known."""
@@ -72,36 +72,34 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
         do += map(_sentence, advice)
     _missing(run, doubt, do)
     reserved = bool(warnings) or any(text.startswith(HARDLY) for text in doubt)
-    return Verdict(
-        _headline(found, warnings, reserved, with_data), *(tuple(dict.fromkeys(each)) for each in (good, doubt, do))
-    )
+    headline = _headline(run, found, warnings, reserved, with_data)
+    return Verdict(headline, *(tuple(dict.fromkeys(each)) for each in (good, doubt, do)))
 
 
-def _headline(found: Validation, warnings: Sequence[str], reserved: bool, with_data: bool) -> str:
+def _headline(run: Run, found: Validation, warnings: Sequence[str], reserved: bool, with_data: bool) -> str:
     """`reserved`: whether there are warnings, or something that the data hardly determine."""
-    worst = min((one.r2 for one in found.channels.values()), default=1.0)
+    followed = {how_followed(one.r2, _records(run, name)) for name, one in found.channels.items()}
     worse = any("whole solutions follow" in warning for warning in warnings)
     if not with_data:
         return "Without its data, this fit cannot be judged."
-    if worse or found.empty or how_followed(worst) == "badly":
+    if worse or found.empty or "badly" in followed:
         return "Do not rely on this fit: its solutions do not follow the data."
-    if how_followed(worst) == "in part":
+    if "in part" in followed:
         return "It follows the data in part."
     return "It follows the data, with reservations." if reserved else "It follows the data."
 
 
 def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) -> None:
     """Whole solutions against the data, beside the best predictor that knows no model."""
-    members = [member.channels or {} for member in run.fit.members]
     for name, errors in found.channels.items():
-        known = [member[name] for member in members if name in member]
+        known = _records(run, name)
         naive = [one.naive for one in known if one.naive is not None]
         beside = (
             f"; without a model, {known[0].predictor or 'the best predictor'} reaches {naive[0]:.3g}" if naive else ""
         )
         of = " of logarithms, as the noise is," if errors.logarithms else ""
         measured = f"R² {_share(errors.r2)}{of} over {counted(errors.n, 'value')}{beside}"
-        how = how_followed(errors.r2)
+        how = how_followed(errors.r2, known)
         if how == "well":
             good.append(f"Whole solutions follow `{name}`: {measured}.")
         else:
@@ -110,6 +108,12 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
         if held:
             text = f"On data that the fit did not see, `{name}` has R² {_share(min(held))}."
             (good if min(held) >= FOLLOWED else doubt).append(text)
+
+
+def _records(run: Run, channel: str) -> list[ChannelRecord]:
+    """What the members' fits say of a channel."""
+    members = [member.channels or {} for member in run.fit.members]
+    return [member[channel] for member in members if channel in member]
 
 
 def _share(r2: float) -> str:

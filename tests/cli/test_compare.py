@@ -88,6 +88,7 @@ def test_nested_runs_are_tested_by_their_likelihoods(place: Path, document: Run,
         (("each", "nodes"), "computed in different ways"),
         (("each", "columns"), "do not observe the same columns"),
         (("each", "nowhere"), "nowhere"),
+        (("each", "absent"), "different numbers of values of the same table"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(place: Path, gbspec: Run, names: tuple[str, str], said: str) -> None:
@@ -98,6 +99,14 @@ def test_what_cannot_be_compared_is_refused(place: Path, gbspec: Run, names: tup
         for name, text in (("each", LEVEL), ("columns", LEVEL + "observe z = 2*x\n")):
             shutil.rmtree(place / name, ignore_errors=True)
             model = model_of(text, place)
+            train(model, tables.read_data(path, model, Findings()), OPTIONS, place / name)
+    if "absent" in names:  # 0 in one trajectory, which one of the models keeps there
+        path = place / "zero.csv"
+        path.write_text("trajectory,t,x\n1,0,0\n1,1,0\n2,0,3\n2,1,3.1\n2,2,3.2\n")
+        for name, balance in (("each", "x' = r*x"), ("absent", "x' = r*x + r")):
+            shutil.rmtree(place / name, ignore_errors=True)
+            learned = "learn r = 0.1 in [-1, 1]\nlearn e = 0.5 > 0"
+            model = model_of(f"model zero\nstate x\n{learned}\n{balance}\nobserve x noise normal(e)\n", place)
             train(model, tables.read_data(path, model, Findings()), OPTIONS, place / name)
     done = gbspec("compare", *names)
     assert done.exit_code == 1

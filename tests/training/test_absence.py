@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.analysis import forecast
 from gbspec.data import absent_states
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
@@ -96,6 +97,25 @@ def test_states_that_feed_each_other_are_absent_together(tmp_path: Path) -> None
     head, *lines = text.splitlines()
     path.write_text("\n".join([head, *(f"neither,{t},0,0" for t in range(6)), *lines[:12]]) + "\n")
     assert absent(model, path) == [[True, True], [False, False]]
+
+
+def test_every_channel_of_a_state_has_to_be_zero(tmp_path: Path) -> None:
+    model, path = cultures(tmp_path, TWO + "observe again = y\n")
+    head, *lines = path.read_text().splitlines()
+    path.write_text("\n".join([head + ",again", *(f"{line},{k % 3}" for k, line in enumerate(lines))]) + "\n")
+    assert absent(model, path) == [[False, False], [True, False], [False, False]]
+
+
+def test_predictions_of_what_is_absent_are_zero_and_certain(tmp_path: Path) -> None:
+    model, path = cultures(tmp_path)
+    run = train(model, tables.read_data(path, model, Findings()), TrainOptions(effort="low"), tmp_path / "run")
+    path.write_text("trajectory,t,x,y\n" + "\n".join(f"new,{t},{0.7 + 0.1 * t},0" for t in range(8)) + "\n")
+    for window in (None, 4):
+        (item,) = forecast(run, tables.read_data(path, model, Findings()), window=window).items
+        y = run.model.channels[1].name
+        assert y == "y" and not item.mean[:, 1].any()
+        assert item.sd[:, 1] == pytest.approx(np.full(8, run.fit.noise["y"]), rel=1e-6)
+        assert item.mean[-1, 0] > 2
 
 
 def test_zeros_of_absence_do_not_count(tmp_path: Path) -> None:

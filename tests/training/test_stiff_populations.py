@@ -19,7 +19,7 @@ from gbspec.ir import METHODS, Model
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Layout, Marginal, Predictions
-from gbspec.training.recipe import build_context, chosen_solver, prepared
+from gbspec.training.recipe import at_stable_step, build_context, chosen_solver, prepared
 from tests.training.test_populations import model_of
 
 BINDING = """model binding
@@ -248,6 +248,9 @@ def test_a_population_with_a_network_takes_smaller_explicit_steps(tmp_path: Path
     assert 6 * build_context(model, module, data, options, 0).max_step > 2.8
     assert 0.7 <= 6 * ready.context.max_step <= 1.4
     assert np.isfinite(ready.loss)
+    context = build_context(model, module, data, options, 0)
+    resumed = at_stable_step(context, context.parameters(ready.parameters.fixed), ready.theta)
+    assert resumed.max_step == ready.context.max_step
     assert chosen_solver(model, module, data, replace(options, max_step=1.0))[0] == "ros34pw2"
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.runs import ChannelRecord, LikelihoodRecord, NoiseRecord, StageRecord, WhitenessRecord
+from gbspec.runs import ChannelRecord, LikelihoodRecord, NoiseRecord, StageRecord, WhitenessRecord, how_followed
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
@@ -49,6 +49,19 @@ def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive
     found = verdicts({"x": ChannelRecord(r2, naive, "the mean of each trajectory")})
     assert len(found) == bool(said)
     assert all(said in text and "`x`" in text and "postulate" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "pairs", "said"),
+    [(0.05, 100, False), (0.5, 100, True), (0.5, 9, True), (None, 0, True), (0.1, 12, False)],
+)
+def test_noise_that_is_most_of_the_variance_is_no_fault_of_a_fit(
+    correlation: float | None, pairs: int, said: bool
+) -> None:
+    known = ChannelRecord(0.3, 0.0, "the mean", autocorrelation=correlation, pairs=pairs)
+    assert bool(verdicts({"x": known})) == said
+    assert how_followed(0.3, [known]) == ("badly" if said else "in part")
+    assert how_followed(-0.1, [known]) == "badly"
 
 
 def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:

@@ -62,8 +62,8 @@ def said_of_ends(model: Model, items: Sequence[Predicted], hidden: Sequence[int]
 
 
 _MEASURED = (
-    "they are those of new measurements, around the model's value by as much to either side. Where measured values are "
-    "positive, `observe {name} … noise lognormal(0.1)` (their relative error; or `lognormal(s)` with "
-    "`learn s = 0.2 > 0`) has intervals above zero"
+    "they are those of new measurements, with the noise and what is not known of the model, around the model's value "
+    "by as much to either side. Where it is the noise, and measured values are positive, `observe {name} … noise "
+    "lognormal(0.1)` (their relative error; or `lognormal(s)` with `learn s = 0.2 > 0`) has intervals above zero"
 )
 _HIDDEN = "they are linearised, by as much to either side. Values near zero are possible, negative ones are not"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
+from gbspec.data import absent_states
 from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
@@ -33,13 +34,14 @@ def noise_at(run: Run, values: Array) -> Array:
 
 def measured_deviations(run: Run, item: Trajectory, estimated: Sequence[int]) -> dict[int, float]:
     """The standard deviation of each initial state that the first row of a trajectory gives, without the `estimated`
-    ones: that of its measurement. None has a deviation of zero."""
+    ones: that of its measurement. None has a deviation of zero, and states that are absent have none."""
     if not len(item.times) or item.times[0] != item.start:
         return {}
     values, out = item.values[0], dict[int, float]()
+    (absent,) = absent_states(run.model, [item])
     deviations = noise_at(run, np.where(np.isfinite(values), values, 0.0))
     for j, channel in enumerate(run.model.channels):
-        if channel.state is None or channel.state in estimated or not np.isfinite(values[j]):
+        if channel.state is None or channel.state in estimated or not np.isfinite(values[j]) or absent[channel.state]:
             continue
         stated = item.sd[0, j]
         deviation = stated if np.isfinite(stated) else deviations[j] / np.sqrt(max(item.counts[0, j], 1))

@@ -33,9 +33,9 @@ SHARE = 0.95
 LEAST, MOST = 0.02, 0.10
 """Bounds of the limit, in diagonals of the box of the training arguments."""
 GAP = 0.25
-"""The most that half the distance between two rows of a trajectory counts, in diagonals."""
+"""The most that half the distance between two successive arguments of a trajectory counts, in diagonals."""
 NEIGHBOURS = 2
-"""A row has one neighbour on either side."""
+"""One on either side."""
 EDGE = 0.01
 """The share of the arguments left out at either end when the width of their range is measured."""
 REPLICATE = 1e-9

@@ -60,10 +60,14 @@ def of_shared(layout: Layout, u: Array, covariance: Array, ridge: float) -> Cova
     across = slopes[:, None] * covariance[at, :count]
     own = slopes[:, None] * covariance[np.ix_(at, at)] * slopes
     values, vectors = np.linalg.eigh(of_weights)
-    values = np.maximum(values, np.finfo(float).tiny)
+    # Directions that the data determine best have the rounding errors of those that they determine least.
+    values = np.maximum(values, np.finfo(float).eps * float(values.max(initial=0.0)))
     coupling = -(across @ vectors / values) @ vectors.T
     shares = np.minimum(values * ridge, 1.0)
     kept = np.flatnonzero(shares < 1.0)
+    conditional = own + coupling @ across.T
+    if not (np.isfinite(coupling).all() and np.isfinite(conditional).all()):
+        return None
     return Covariance(
         names=tuple(layout.parameters.weight_shapes),
         constants=tuple(places),
@@ -71,5 +75,5 @@ def of_shared(layout: Layout, u: Array, covariance: Array, ridge: float) -> Cova
         vectors=np.ascontiguousarray(vectors[:, kept].T),
         shares=shares[kept],
         coupling=coupling,
-        conditional=own + coupling @ across.T,
+        conditional=conditional,
     )

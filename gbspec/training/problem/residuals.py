@@ -53,8 +53,9 @@ def limited(residuals: Array) -> Array:
     """Absolute residuals, of outliers no more than `OUTLYING` robust standard deviations.
 
     Where more than a few lie so far out, the residuals are of two kinds, such as those of values that are fitted
-    exactly beside others, and the median says nothing of the larger ones: then all count in full.
+    exactly beside others, and the median says nothing of the larger ones: then all count in full. So they do where most
+    are zero.
     """
     found, most = np.abs(residuals), OUTLYING * typical(residuals)
-    few = np.count_nonzero(found > most) <= max(FEW * len(found), 1)
+    few = most > 0 and np.count_nonzero(found > most) <= max(FEW * len(found), 1)
     return np.asarray(np.minimum(found, most) if few else found, dtype=np.float64)

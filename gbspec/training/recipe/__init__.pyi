@@ -18,6 +18,7 @@ from .populations import marginal_objective as marginal_objective
 from .preparation import initial as initial
 from .preparation import prepare as prepare
 from .recognition_network import recognition as recognition
+from .stiffness import at_stable_step as at_stable_step
 from .stiffness import chosen_solver as chosen_solver
 from .stiffness import prepared as prepared
 from .stiffness import solver_of as solver_of

@@ -39,12 +39,14 @@ SUSPECT = 0.03
 
 @dataclass(frozen=True)
 class Prepared:
-    """A member before its first stage. `loss`: mean of half squared residuals with imputed forcing."""
+    """A member before its first stage. `loss`: mean of half squared residuals with imputed forcing; `fraction`: the
+    step over the default one."""
 
     context: Context
     parameters: Parameters
     theta: Array
     loss: float
+    fraction: float = 1.0
 
 
 def prepare(
@@ -67,7 +69,7 @@ def prepare(
 
 def at_step(found: Prepared, fraction: float) -> Prepared:
     """The same at `fraction` of the largest step."""
-    made = replace(found, context=found.context.finer(fraction))
+    made = replace(found, context=found.context.finer(fraction), fraction=fraction)
     return replace(made, loss=mean_loss(_imputed_residuals(made.context, made.parameters, made.theta)))
 
 

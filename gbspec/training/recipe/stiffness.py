@@ -109,14 +109,24 @@ def prepared(
     """A member before its first stage, as from `prepare`; of a population with networks at a step that is stable at the
     data."""
     found = prepare(model, module, trajectories, options, seed)
-    context = found.context
-    if not _refined(model, options) or context.adaptive or not _may_be_stiff(model):
-        return found
-    rates = decays(context, found.parameters, found.theta)
+    fraction = _stable_fraction(found.context, found.parameters, found.theta)
+    return found if fraction == 1.0 else at_step(found, fraction)
+
+
+def at_stable_step(context: Context, parameters: Parameters, theta: Array) -> Context:
+    """The context of a member that is resumed, with the step that `prepared` gave it; `theta`: its first vector."""
+    fraction = _stable_fraction(context, parameters, theta)
+    return context if fraction == 1.0 else context.finer(fraction)
+
+
+def _stable_fraction(context: Context, parameters: Parameters, theta: Array) -> float:
+    """The fraction of the default step that is stable at the data for a vector before the first stage; 1 where the step
+    is not adapted."""
+    if not _refined(context.model, context.options) or context.adaptive or not _may_be_stiff(context.model):
+        return 1.0
+    rates = decays(context, parameters, theta)
     product = context.max_step * float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
-    if not LIMIT < product <= REFINED * LIMIT:
-        return found
-    return at_step(found, 0.5 ** int(np.ceil(np.log2(product / (NEAR * LIMIT)))))
+    return 0.5 ** int(np.ceil(np.log2(product / (NEAR * LIMIT)))) if LIMIT < product <= REFINED * LIMIT else 1.0
 
 
 def _by_draws(

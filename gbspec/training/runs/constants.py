@@ -204,7 +204,8 @@ def said_of_constants(
         for member, name, bound in meant
         if (name, bound) not in at_bounds(model, results[member].constants)
     }
-    return [*unclear, *ended_at_bounds(meant, astray, beside), *unsettled(constants, ended, results)]
+    alone = [] if model.marginal else unsettled(constants, ended, results)
+    return [*unclear, *ended_at_bounds(meant, astray, beside), *alone]
 
 
 def unsettled(

@@ -26,20 +26,19 @@ from gbspec.training.recipe import (
     Context,
     Planned,
     Reached,
-    build_context,
     plan,
-    prepared,
     recognition,
     said_of_switches,
     step_fraction,
 )
+from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
-from gbspec.training.runs.position import EDITION, Position, checkpoint, restored
+from gbspec.training.runs.position import EDITION, Position, checkpoint
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
@@ -83,16 +82,11 @@ def fit_member(
     kept = checkpoint(directory) if options.resume else None
     began = time.monotonic()
     with uninterrupted() as interrupted:
-        if kept is not None:
-            arrays, remarks = kept
-            context = build_context(model, module, trajectories, options, seed, remarks.curves)
-            fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
-            runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
-        else:
-            progress.message(f"member {member}: curves through the data, first values of functions and constants")
-            ready = prepared(model, module, trajectories, options, seed)
-            position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
-            runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
+        begun = beginning(
+            model, module, trajectories, options, seed, kept, lambda text: progress.message(f"member {member}: {text}")
+        )
+        runner = _Runner(*begun, member, directory, progress)
+        if kept is None:
             runner.record_preparation(time.monotonic() - began)
             runner.save()
         if runner.context.choice.remark and member == 0:

@@ -19,7 +19,7 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import without_tied
 
 EXACTLY = 1e-6
-"""A noise below this part of a channel's median one is none."""
+"""A noise below this part of a channel's largest one is none."""
 
 VANISHED = 1e-3
 """A spread of logarithms (of logits; relative to the start of a normal one) below this is none."""
@@ -132,11 +132,12 @@ def _unbounded(context: Context, found: PopulationResult, tables: PopulationTabl
     for i, channel in enumerate(context.model.channels):
         rows = np.flatnonzero(tables.arrays["channel"] == i)
         sd = found.noise[rows]
-        exact = rows[sd < EXACTLY * np.median(sd)] if len(rows) else rows
+        largest = float(sd.max(initial=0.0))
+        exact = rows[sd < EXACTLY * largest]
         if not len(exact) or channel.noise is None or channel.noise.value is None:
             continue
         symbols = {symbol.name for symbol in channel.noise.value.free_symbols} & set(found.estimates.names)
-        gone = [name for name in sorted(symbols) if abs(_estimate(found, name)) < EXACTLY * np.median(sd)]
+        gone = [name for name in sorted(symbols) if abs(_estimate(found, name)) < EXACTLY * largest]
         names |= set(gone)
         at = zip(tables.arrays["owner"][exact[:3]], tables.arrays["time"][exact[:3]], strict=True)
         first = ", ".join(f"`{tables.labels[int(owner)]}` at {time:g}" for owner, time in at)

@@ -222,8 +222,7 @@ class _Noise:
 
     If the data are noisy, or only constants are learned, whole solutions were fitted: the noise variance is then the
     mean squared residual (with limited outliers), divided by the `share` of the degrees of freedom that the fit has not
-    used. Otherwise each value was predicted from the previous one, and
-    the noise is estimated from the median.
+    used. Otherwise each value was predicted from the previous one, and the noise is estimated from the median.
     """
 
     residuals: Array

@@ -36,6 +36,8 @@ ACCURACY, WEAK = 0.02, 1e-3
 """A fit on this way has converged if its deviance is not predicted to fall by more; the damping of its directions."""
 STEPS, JACOBIANS = 12, 4
 """Steps with one Jacobian, and Jacobians, of each such fit."""
+LARGEST = 2**24
+"""The most entries of a Jacobian with which constants are followed on this way: there are hundreds of them."""
 SHOWN, HELPS = "`gbspec profile` shows what the data say", "A prior, or a value that is known (`const`), helps"
 
 
@@ -109,6 +111,8 @@ def _followed(
     """The constants that leave their `intervals` while those `at` bounds move inside as far as the data allow: until
     the deviance, with everything else refitted, is above the `threshold`."""
     parameters, residuals = engine.parameters, residual_vector(engine, theta)
+    if len(residuals) * parameters.size > LARGEST:
+        return []
     used = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
     variance = noise_variance(engine.problem, residuals, float("inf"), used)
     problem = replace(engine.problem, scaling=replace(engine.problem.scaling, noise=math.sqrt(variance)))

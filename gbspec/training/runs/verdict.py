@@ -54,10 +54,11 @@ def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) 
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     out = []
     for name, found in channels.items():
-        if found.r2 is None or (model is not None and model.diffusions):  # these predict from row to row
+        if found.r2 is None:
             continue
         if found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
-            if how_followed(found.r2) == "badly":
+            ahead = model is not None and model.diffusions  # these predict from row to row
+            if not ahead and how_followed(found.r2, [found]) == "badly":
                 left = f"R² {found.r2:.3g}: they leave {100 * (1 - found.r2):.3g} % of the variance"
                 out.append(f"whole solutions follow `{name}` badly ({left}): {remedies}")
             continue

@@ -1,0 +1,42 @@
+"""What a member begins with: prepared from the data, or as its checkpoint has it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gbspec.arrays import Array
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories
+from gbspec.ir import Model
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context, at_stable_step, build_context, prepared
+from gbspec.training.runs.position import Position, restored
+from gbspec.training.runs.remarks import Remarks
+from gbspec.training.stages import StageName
+
+
+def beginning(
+    model: Model,
+    module: type[GeneratedModule],
+    trajectories: Trajectories,
+    options: TrainOptions,
+    seed: int,
+    kept: tuple[dict[str, Array], Remarks] | None,
+    tell: Callable[[str], None],
+) -> tuple[Context, Parameters, Position]:
+    """The context, the layout and the position of a member; `kept` is its checkpoint, None if it begins."""
+    if kept is not None:
+        arrays, remarks = kept
+        context = build_context(model, module, trajectories, options, seed, remarks.curves)
+        fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
+        position, parameters = restored(arrays, remarks), context.parameters(fixed)
+        first = position.marks.get(StageName.WARM_START, position.theta)
+        return at_stable_step(context, parameters, first), parameters, position
+    tell("curves through the data, first values of functions and constants")
+    ready = prepared(model, module, trajectories, options, seed)
+    if ready.fraction < 1:
+        tell(f"the step is {ready.context.max_step:.3g}, so that solutions are stable at the data, instead of "
+             f"{ready.context.max_step / ready.fraction:.3g}")  # fmt: skip
+    position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
+    return ready.context, ready.parameters, position
