@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import absent_states
 from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
@@ -35,6 +34,8 @@ def noise_at(run: Run, values: Array) -> Array:
 def measured_deviations(run: Run, item: Trajectory, estimated: Sequence[int]) -> dict[int, float]:
     """The standard deviation of each initial state that the first row of a trajectory gives, without the `estimated`
     ones: that of its measurement. None has a deviation of zero, and states that are absent have none."""
+    from gbspec.data import absent_states
+
     if not len(item.times) or item.times[0] != item.start:
         return {}
     values, out = item.values[0], dict[int, float]()
