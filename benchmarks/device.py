@@ -71,7 +71,7 @@ def case(size: Size, before: dict[str, float], options: argparse.Namespace) -> d
     threads = dict.fromkeys(runs, len(cores()))
     timings = interleaved(runs, options.rounds, threads=threads, seconds=3 * options.most)
     for name, timing in timings.items():
-        # launching operations takes a GPU the same time however large they are, so only the processor's can be foretold
+        # A GPU needs as long to launch an operation of any size: only the processor's times grow with the flop.
         before[name] = 0.0 if name.endswith("GPU") else timing.median / work.flop
     said = ", ".join(f"{name} {1e3 * timing.median:.0f} ms" for name, timing in timings.items())
     say(f"{size.trajectories} trajectories, width {size.width}: {said}")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FAR = 0.1
 """Nothing is said unless an end is further below zero than this fraction of the largest prediction of the quantity:
-values beyond a declared range are told of by the same fraction of its width."""
+warnings of values beyond a declared range begin at the same fraction of its width."""
 
 
 class Predicted(Protocol):

@@ -34,7 +34,7 @@ def noise_at(run: Run, values: Array) -> Array:
 def measured_deviations(run: Run, item: Trajectory, estimated: Sequence[int]) -> dict[int, float]:
     """The standard deviation of each initial state that the first row of a trajectory gives, without the `estimated`
     ones: that of its measurement. None has a deviation of zero, and states that are absent have none."""
-    from gbspec.data import absent_states
+    from gbspec.data import absent_states  # with sympy, which not every command needs
 
     if not len(item.times) or item.times[0] != item.start:
         return {}

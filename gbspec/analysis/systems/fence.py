@@ -35,7 +35,7 @@ LEAST, MOST = 0.02, 0.10
 GAP = 0.25
 """The most that half the distance between two successive arguments of a trajectory counts, in diagonals."""
 NEIGHBOURS = 2
-"""One on either side."""
+"""An argument has one successive to it on either side."""
 EDGE = 0.01
 """The share of the arguments left out at either end when the width of their range is measured."""
 REPLICATE = 1e-9
