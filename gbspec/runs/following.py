@@ -11,14 +11,12 @@ if TYPE_CHECKING:
 FOLLOWED, LOST = 0.9, 0.5
 """R² from which whole solutions follow a channel, and below which the fit is not to be relied on: they leave more than
 half of the variance of its data."""
-
-
 ENOUGH = 10
 """With fewer pairs of successive residuals nothing is known of their correlation."""
 
 
 def how_followed(r2: float, records: Iterable[ChannelRecord] = ()) -> Literal["well", "in part", "badly"]:
-    """The same in words; an R² that is not a number is that of solutions that do not follow the data.
+    """How whole solutions with this R² follow a channel; one that is not a number is that of solutions that do not.
 
     Where residuals are not correlated with the next ones, by the `records` of the members, what is left is noise,
     however much it is, and solutions that are better than the mean follow the data in part.

@@ -3,7 +3,8 @@
 Equations are stiff for a step where their fastest decay is beyond the step's limit of stability. This is looked at
 before the first fit, at the measured states (curves through the data) with the constants of gradient matching: known
 parts of the equations show it, the slope of an unknown function does not. Where all forms are known, and the explicit
-solver fails at many constants within their ranges, the draws of the search are compared by both solvers.
+solver fails at many constants within their ranges, the draws of the search are compared by both solvers. Populations
+with networks take smaller explicit steps where these are stable.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def chosen_solver(
     context = build_context(model, module, some, looking, options.seed)
     parameters, theta = initial(context)
     rates = decays(context, parameters, theta)
-    fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    fast = _usual(rates)
     if not step * fast > LIMIT:
         # No solution from a start follows a disturbed one.
         drawn = model.complete and not (model.diffusions or model.algebraics)
@@ -125,8 +126,13 @@ def _stable_fraction(context: Context, parameters: Parameters, theta: Array) -> 
     if not _refined(context.model, context.options) or context.adaptive or not _may_be_stiff(context.model):
         return 1.0
     rates = decays(context, parameters, theta)
-    product = context.max_step * float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    product = context.max_step * _usual(rates)
     return 0.5 ** int(np.ceil(np.log2(product / (NEAR * LIMIT)))) if LIMIT < product <= REFINED * LIMIT else 1.0
+
+
+def _usual(rates: Array) -> float:
+    """The rate above which a `SHARE` of the points are; 0 without points."""
+    return float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
 
 
 def _by_draws(
@@ -236,7 +242,7 @@ def times_step(
         return 0.0, 0.0
     rows = np.arange(problem.packed.rows)[:: max(1, problem.packed.rows // MOST_ROWS)]
     rates = _fastest(problem, parameters, theta, states, rows[np.isfinite(states[rows]).all(axis=1)])
-    fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    fast = _usual(rates)
     return fast, fast * context.max_step * fraction
 
 

@@ -20,7 +20,15 @@ from gbspec.data import Estimated, deviations, unstated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, linearise, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, NormalEquations, Stage, evidence
-from gbspec.training.problem import Integers, Parameters, autocorrelation_of, in_time, limited, share_that_counts
+from gbspec.training.problem import (
+    Integers,
+    Parameters,
+    autocorrelation_of,
+    in_time,
+    limited,
+    share_that_counts,
+    typical,
+)
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
 from gbspec.training.stages import StageName
@@ -42,7 +50,6 @@ LEAST_LEFT = 0.25
 TOLD = 25
 """At least so many values count, if there are so many: the correlation of the residuals of fewer is known to 0.2 at
 best, and a channel that counts too little is followed even less, so that they become more correlated."""
-MAD_TO_SD = 1.4826
 WEAK = 1e-2
 """Precision of a prior on all entries in the count of degrees of freedom, relative to the noise."""
 PROBES, ROUNDS = 24, 6
@@ -129,7 +136,7 @@ def _of_differences(context: Context, channel: int) -> float:
             left = (t[2:] - t[1:-1]) / (t[2:] - t[:-2])
             found.append((left * y[:-2] + (1 - left) * y[2:] - y[1:-1]) / np.sqrt(left**2 + (1 - left) ** 2 + 1))
     distances = np.concatenate(found)
-    return MAD_TO_SD * float(np.median(np.abs(distances))) if len(distances) else float("nan")
+    return typical(distances) if len(distances) else float("nan")
 
 
 def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> Estimated | None:

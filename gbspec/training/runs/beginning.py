@@ -36,7 +36,7 @@ def beginning(
     tell("curves through the data, first values of functions and constants")
     ready = prepared(model, module, trajectories, options, seed)
     if ready.fraction < 1:
-        tell(f"the step is {ready.context.max_step:.3g}, so that solutions are stable at the data, instead of "
-             f"{ready.context.max_step / ready.fraction:.3g}")  # fmt: skip
+        step, usual = ready.context.max_step, ready.context.max_step / ready.fraction
+        tell(f"the step is {step:.3g} instead of {usual:.3g}, so that solutions are stable at the data")
     position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
     return ready.context, ready.parameters, position

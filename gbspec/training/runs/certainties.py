@@ -12,7 +12,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, network_arguments
 from gbspec.data import Trajectories, Trajectory, evenly_spaced
-from gbspec.runs import Certainties, Covariance, Support
+from gbspec.runs import Certainties, Support
 from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import covariance
 from gbspec.training.problem import Parameters, Problem
@@ -27,19 +27,14 @@ there, and inputs change."""
 
 
 def certainties(
-    context: Context,
-    parameters: Parameters,
-    theta: Array,
-    stages: Sequence[str],
-    member: GeneratedModule,
-    of_population: Covariance | None,
+    context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
 ) -> Certainties:
     """The certainty of a finished fit at `theta`, from residuals as its last stages saw them; `member` has its
-    weights. Models with a marginal likelihood have theirs `of_population`."""
+    weights. That of a marginal likelihood has its covariance from elsewhere."""
     marginal = context.model.marginal
     blend = 0.0 if marginal or whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
-    known = of_population if marginal else covariance(engine, theta)
+    known = None if marginal else covariance(engine, theta)
     if member.networks and engine.problem.packed.rows < POINTS:
         dense = replace(context, trajectories=_dense(context.trajectories), _packed={})
         engine = dense.engine(parameters, blend, step_fraction(stages))

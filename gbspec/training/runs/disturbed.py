@@ -14,7 +14,6 @@ from gbspec.files import finite
 from gbspec.runs import (
     Certainties,
     ChannelRecord,
-    Covariance,
     LikelihoodRecord,
     NoiseRecord,
     ObjectiveRecord,
@@ -177,17 +176,11 @@ def _whiteness(engine: FilterEngine, found: Filtered) -> dict[str, WhitenessReco
 
 
 def certainties(
-    context: Context,
-    parameters: Parameters,
-    theta: Array,
-    stages: Sequence[str],
-    member: GeneratedModule,
-    of_population: Covariance | None,
+    context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
 ) -> Certainties:
-    """The certainty of a finished fit: with disturbances that of its constants stands in `fit.json` alone, that of a
-    population is given."""
+    """The certainty of a finished fit: with disturbances that of its constants stands in `fit.json` alone."""
     if not context.model.diffusions:
-        return of_squares.certainties(context, parameters, theta, stages, member, of_population)
+        return of_squares.certainties(context, parameters, theta, stages, member)
     engine = filter_of(context, parameters)
     found = engine.filtered(whole_vector(context, engine, theta))
     return Certainties(None, of_squares.support_of(engine.problem, parameters, theta, engine.row_states(found), member))

@@ -354,8 +354,8 @@ class _Runner:
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         factor = widening(result.channels)
         if position.finished:
-            known = certainties(self.context, self.parameters, position.best, names, instance, shared)
-            known = known if marginal else known.widened(factor)
+            known = certainties(self.context, self.parameters, position.best, names, instance)
+            known = replace(known, covariance=shared) if marginal else known.widened(factor)
             known.write(self.directory)
         if position.finished and not marginal:
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
