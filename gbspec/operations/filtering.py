@@ -41,6 +41,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     """Channels and states at all rows of a table, with bands, as the measurements of the first `window` rows (all of
     them without it) show them; of the best member."""
     from gbspec.analysis import Forecast, PredictedTrajectory, Start, Trained, said_of_ends, said_of_items
+    from gbspec.runs import said_of_training
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
@@ -74,7 +75,11 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         )
     channels, states = tuple(c.name for c in model.channels), tuple(s.name for s in model.states)
     names = (*channels, *(states[i] for i in hidden))
-    said = (*said_of_items(items), *said_of_ends(model, items, hidden))
+    ahead = any("predicted" in item.used for item in items)
+    said = (
+        *said_of_items(items), *said_of_ends(model, items, hidden),
+        *(said_of_training(run.fit.members) if ahead else ()),
+    )  # fmt: skip
     return Forecast(names, channels, states, tuple(items), 1, said, model.time.name)
 
 

@@ -4,8 +4,11 @@ from .covariance import Certainties as Certainties
 from .covariance import Covariance as Covariance
 from .covariance import Support as Support
 from .covariance import read_certainties as read_certainties
+from .following import EXACT as EXACT
 from .following import FOLLOWED as FOLLOWED
+from .following import autocorrelated as autocorrelated
 from .following import how_followed as how_followed
+from .following import said_of_training as said_of_training
 from .locks import locked as locked
 from .population import POPULATION as POPULATION
 from .population import EffectRecord as EffectRecord

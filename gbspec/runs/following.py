@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from gbspec.runs.record import ChannelRecord
+    from gbspec.runs.record import ChannelRecord, MemberRecord
 
 FOLLOWED, LOST = 0.9, 0.5
 """R² from which whole solutions follow a channel, and below which the fit is not to be relied on: they leave more than
 half of the variance of its data."""
 ENOUGH = 10
 """With fewer pairs of successive residuals nothing is known of their correlation."""
+AUTOCORRELATED = 0.4
+"""Residuals whose correlation with the next ones is above this, and beyond chance, are no noise of measurement."""
+CHANCE = 2.33
+"""A correlation above so many standard errors is beyond chance: one of independent residuals is in 1 % of cases."""
+EXACT = 1e-6
+"""A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
 
 
 def how_followed(r2: float, records: Iterable[ChannelRecord] = ()) -> Literal["well", "in part", "badly"]:
@@ -26,6 +33,49 @@ def how_followed(r2: float, records: Iterable[ChannelRecord] = ()) -> Literal["w
     known = list(records)
     noise = bool(known) and all(_uncorrelated(one) for one in known)
     return "in part" if r2 >= LOST or (noise and r2 > 0) else "badly"
+
+
+def autocorrelated(
+    channels: Mapping[str, ChannelRecord], explained: float = EXACT, above: float = AUTOCORRELATED
+) -> list[str]:
+    """The channels whose residuals are correlated with the next ones, by more than `above` and beyond chance, and are a
+    larger fraction of the variance than `explained`."""
+    return [
+        name
+        for name, one in channels.items()
+        if one.autocorrelation is not None
+        and one.r2 is not None
+        and 1 - one.r2 > explained
+        and one.autocorrelation > max(above, CHANCE / max(one.pairs, 1) ** 0.5)
+    ]
+
+
+def said_of_training(members: Iterable[MemberRecord]) -> list[str]:
+    """What predictions of new rows are told of the channels that no member follows in the training data, or of which
+    all members leave autocorrelated residuals."""
+    found = [member.channels for member in members if member.channels]
+    if not found:
+        return []
+    names = [name for name in found[0] if all(name in each for each in found)]
+    badly = [name for name in names if all(how_followed(_r2(each[name]), [each[name]]) == "badly" for each in found)]
+    coloured = [name for name in names if name not in badly and all(name in autocorrelated(each) for each in found)]
+    out = []
+    if badly:
+        best = {name: max(_r2(each[name]) for each in found) for name in badly}
+        listed = ", ".join(f"`{name}`" + (f" (R² {r2:.3g})" if math.isfinite(r2) else "") for name, r2 in best.items())
+        out.append(f"the fit follows {listed} badly in the training data: do not rely on these predictions")
+    if coloured:
+        out.append(
+            f"the residuals of {', '.join(f'`{name}`' for name in coloured)} in the training data are autocorrelated: "
+            "the system is disturbed, or the model lacks something. Predictions of further rows are less certain than "
+            "their intervals say"
+        )
+    return out
+
+
+def _r2(found: ChannelRecord) -> float:
+    """R² of a channel; that of solutions which are not finite is below all others."""
+    return -math.inf if found.r2 is None else found.r2
 
 
 def _uncorrelated(found: ChannelRecord) -> bool:

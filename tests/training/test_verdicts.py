@@ -77,7 +77,9 @@ def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:
         (0.99, 1000, 0.99, "14 times as wide"),
         (0.6, 1000, 0.9, "2 times as wide"),
         (0.4, 1000, 0.9, ""),
-        (0.7, 20, 0.9, ""),
+        (0.7, 20, 0.9, "2.4 times as wide"),
+        (0.5, 20, 0.9, ""),
+        (0.48, 25, 0.9, "1.7 times as wide"),
         (0.99, 1000, 1 - 1e-8, ""),
         (None, 0, 0.9, ""),
     ],
@@ -88,6 +90,13 @@ def test_residuals_that_follow_one_another_are_told(
     found = autocorrelations({"x": ChannelRecord(r2, 0.0, autocorrelation=correlation, pairs=pairs)})
     assert len(found) == bool(said)
     assert all(said in text and "`x`" in text for text in found)
+
+
+def test_intervals_are_widened_wherever_a_correlation_is_beyond_chance() -> None:
+    channels = {"x": ChannelRecord(0.9, 0.0, autocorrelation=0.3, pairs=1000)}
+    assert not autocorrelations(channels), "too little to be told"
+    assert widening(channels) == pytest.approx((1.3 / 0.7) ** 0.5)
+    assert widening({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.3, pairs=50)}) == 1.0
 
 
 def test_channels_weighed_by_what_counts_are_not_widened_again() -> None:

@@ -34,6 +34,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted
 from gbspec.ir import logarithmic, on_fitted_scale, slopes
+from gbspec.runs import said_of_training
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
@@ -247,6 +248,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         warnings=(
             *said_of_items(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
             *_without_effect(items, window),
+            *(said_of_training(run.fit.members) if any("predicted" in item.used for item in items) else ()),
             *said_of_ends(run.model, items, hidden),
         ),
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import ChannelRecord, LikelihoodRecord, how_followed
+from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
 
 if TYPE_CHECKING:
@@ -22,11 +22,6 @@ WORTHWHILE = 0.1
 GOOD = 0.9
 """A fit that explains more than this, and leaves nothing but noise, is not doubted because a simple curve does too."""
 
-AUTOCORRELATED = 0.5
-"""Residuals whose correlation with the next ones is above this, by twice its standard error, are no noise of
-measurement."""
-EXACT = 1e-6
-"""A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
 VISIBLE = 1e-4
 """The same of a fit that gave no standard deviations: stages of exact data end before such fractions matter."""
 
@@ -62,7 +57,7 @@ def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) 
                 left = f"R² {found.r2:.3g}: they leave {100 * (1 - found.r2):.3g} % of the variance"
                 out.append(f"whole solutions follow `{name}` badly ({left}): {remedies}")
             continue
-        if found.r2 > GOOD and found.autocorrelation is not None and name not in _following(channels):
+        if found.r2 > GOOD and found.autocorrelation is not None and name not in autocorrelated(channels):
             continue
         compared = "worse than" if found.r2 < found.naive else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
@@ -150,9 +145,10 @@ def widening(channels: Mapping[str, ChannelRecord]) -> float:
     """The factor by which intervals of constants and functions are widened where residuals are autocorrelated.
 
     A fraction of the values counts (see `share_that_counts`), and standard deviations are larger by the root of its
-    inverse. Channels that were weighed by this share have such intervals already.
+    inverse. That is so wherever a correlation is beyond chance, also where it is too small for a warning. Channels that
+    were weighed by this share have such intervals already.
     """
-    left = [channels[name] for name in _following(channels) if (channels[name].share or 1.0) == 1.0]
+    left = [channels[name] for name in autocorrelated(channels, above=0.0) if (channels[name].share or 1.0) == 1.0]
     return max((1 / math.sqrt(share_that_counts(one.autocorrelation or 0.0, one.pairs)) for one in left), default=1.0)
 
 
@@ -160,7 +156,7 @@ def autocorrelations(
     channels: Mapping[str, ChannelRecord], model: Model | None = None, rmse: Mapping[str, float] | None = None
 ) -> list[str]:
     """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given."""
-    found = _following(channels)
+    found = autocorrelated(channels)
     if not found:
         return []
     listed, factor = _listed(found, channels), widening(channels)
@@ -178,7 +174,7 @@ def autocorrelations(
 
 def innovations(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord) -> list[str]:
     """Warnings of a fit with disturbances: innovations that are not independent, and noises that ended at zero."""
-    out, following = [], _following(channels)
+    out, following = [], autocorrelated(channels)
     tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
     coloured = [name for name, p in tested.items() if name in following or (p is not None and p < COLOURED)]
     if coloured:
@@ -207,7 +203,7 @@ _OVERSTATED = "the likelihood takes them for independent nevertheless, so that i
 
 def unrested(channels: Mapping[str, ChannelRecord], ended: str) -> list[str]:
     """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself)."""
-    found = _following(channels, VISIBLE)
+    found = autocorrelated(channels, VISIBLE)
     if not found and all(one.r2 is None or 1 - one.r2 <= VISIBLE for one in channels.values()):
         return []
     if not found:
@@ -255,18 +251,6 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
 def _rounded(size: float) -> str:
     """A start of this size, as one writes it: 0.3, 10."""
     return f"{float(f'{size:.1g}'):g}" if math.isfinite(size) and size > 0 else "0.1"
-
-
-def _following(channels: Mapping[str, ChannelRecord], explained: float = EXACT) -> list[str]:
-    """The channels whose residuals are correlated with the next ones, and are a larger fraction than `explained`."""
-    return [
-        name
-        for name, one in channels.items()
-        if one.autocorrelation is not None
-        and one.r2 is not None
-        and 1 - one.r2 > explained
-        and one.autocorrelation > AUTOCORRELATED + 2 / math.sqrt(max(one.pairs, 1))
-    ]
 
 
 def inseparable(model: Model) -> list[str]:

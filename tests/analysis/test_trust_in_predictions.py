@@ -1,0 +1,55 @@
+"""Predictions say what the fit left of trust in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.analysis.prediction.forecast import forecast
+from gbspec.data import Trajectories
+from gbspec.runs import ChannelRecord, MemberRecord, said_of_training
+from gbspec.training import TrainOptions, train
+from tests.training.conftest import model_of, trajectory
+
+FOLLOWED = ChannelRecord(0.98, 0.1, autocorrelation=0.0, pairs=100)
+LOST = ChannelRecord(0.3, 0.1, autocorrelation=0.9, pairs=100)
+BLOWN_UP = ChannelRecord(None, 0.1)
+COLOURED = ChannelRecord(0.98, 0.1, autocorrelation=0.6, pairs=100)
+
+
+def member(**channels: ChannelRecord) -> MemberRecord:
+    return MemberRecord(1, 0.1, {}, 1.0, (), 0, None, None, channels)
+
+
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        ([member(x=FOLLOWED, y=FOLLOWED)], []),
+        ([member(x=FOLLOWED, y=LOST)], ["`y` (R² 0.3) badly"]),
+        ([member(x=BLOWN_UP)], ["`x` badly"]),
+        ([member(x=LOST), member(x=FOLLOWED)], []),
+        ([member(x=BLOWN_UP), member(x=LOST)], ["`x` (R² 0.3) badly"]),
+        ([member(x=COLOURED, y=LOST)], ["`y` (R² 0.3) badly", "residuals of `x` in the training data"]),
+        ([member()], []),
+    ],
+)
+def test_what_all_members_leave_is_told(members: list[MemberRecord], said: list[str]) -> None:
+    found = said_of_training(members)
+    assert len(found) == len(said)
+    assert all(words in text for words, text in zip(said, found, strict=True))
+
+
+def test_a_forecast_of_further_rows_tells_of_autocorrelated_residuals(tmp_path: Path) -> None:
+    model = model_of(
+        "model fall\ntime t from 0\nstate x in [0, 2] = 1\nlearn k = 0.5 in [0.1, 3]\nx' = -k*x\ninitial x = 1\n"
+        "observe x\n"
+    )
+    times = np.linspace(0.1, 6, 60)
+    values = (np.exp(-0.5 * times) + 0.05 * np.sin(2 * times))[:, None]
+    first, item = (trajectory("1", 0.0, times[:rows], values[:rows], []) for rows in (40, 60))
+    run = train(model, Trajectories((first,), ("x",)), TrainOptions(effort="low", max_step=0.1), tmp_path / "run")
+    words = "residuals of `x` in the training data are autocorrelated"
+    assert any(words in warning for warning in forecast(run, Trajectories((item,), ("x",)), window=40).warnings)
+    assert not forecast(run, Trajectories((first,), ("x",))).warnings, "of the training rows the fit has told it"
