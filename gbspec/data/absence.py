@@ -49,9 +49,9 @@ def absent_channels(model: Model, absent: Mask) -> Mask:
     return out
 
 
-def present_values(model: Model, trajectories: Trajectories, absent: Mask) -> Trajectories:
-    """The trajectories without the values of absent states."""
-    hidden = absent_channels(model, absent)
+def present_values(model: Model, trajectories: Trajectories, absent: Mask | None = None) -> Trajectories:
+    """The trajectories without the values of states that are `absent` (None: those of `absent_states`)."""
+    hidden = absent_channels(model, absent_states(model, trajectories.items) if absent is None else absent)
     items = tuple(
         replace(item, values=np.where(columns, np.nan, item.values)) if columns.any() else item
         for item, columns in zip(trajectories.items, hidden, strict=True)

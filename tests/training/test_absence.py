@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec.analysis import forecast
-from gbspec.data import absent_states
+from gbspec.analysis import forecast, validate
+from gbspec.data import Trajectories, absent_states
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.operations import tables
+from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
 from gbspec.training.problem import limited
 from tests.training.test_populations import model_of
@@ -118,11 +119,23 @@ def test_predictions_of_what_is_absent_are_zero_and_certain(tmp_path: Path) -> N
         assert item.mean[-1, 0] > 2
 
 
+def measured(run: Run, data: Trajectories) -> np.ndarray:
+    """The values [channel, row] that predictions are compared with."""
+    return np.concatenate([item.measured for item in forecast(run, data).items]).T
+
+
 def test_zeros_of_absence_do_not_count(tmp_path: Path) -> None:
     model, path = cultures(tmp_path)
     run = train(model, tables.read_data(path, model, Findings()), TrainOptions(), tmp_path / "run")
     fit = run.fit
-    assert {name: one.values for name, one in fit.members[0].channels.items()} == {"x": 24, "y": 24}
+    channels = fit.members[0].channels
+    assert {name: one.values for name, one in channels.items()} == {"x": 24, "y": 24}
+    again = tables.read_data(path, model, Findings())
+    for name, errors in validate(run, again).channels.items():
+        assert (errors.n, errors.r2) == (24, pytest.approx(channels[name].r2, abs=1e-3))
+    assert {name: int(np.isfinite(values).sum()) for name, values in zip("xy", measured(run, again), strict=True)} == {
+        "x": 24, "y": 24,
+    }  # fmt: skip
     assert fit.noise["x"] == pytest.approx(0.3, rel=0.35)
     assert fit.noise["y"] == pytest.approx(0.3, rel=0.35)
     starts = run.member().weights["initial"]

@@ -29,7 +29,7 @@ from gbspec.analysis.prediction.solutions import (
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import first_rows, window_rows
 from gbspec.arrays import Array, Mask
-from gbspec.data import TRAJECTORY
+from gbspec.data import TRAJECTORY, present_values
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted
@@ -54,8 +54,9 @@ standard deviation: the prior one, or that of the measurement."""
 class PredictedTrajectory:
     """One trajectory: the mean of V variables at its R rows, and the standard deviation of a new measurement.
 
-    `used` gives the use of each row; `outside` names the quantities outside their trained ranges in it;
-    `in_logarithms` [V] marks the variables whose intervals are multiplicative.
+    `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
+    `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
+    are multiplicative.
     """
 
     label: str
@@ -230,7 +231,9 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         for member, covariance in zip(run.members, known, strict=True)
     ]
     trained = Trained.of(run)
-    items = tuple(_joined(each, index, window, trained) for index in range(len(trajectories)))
+    present = present_values(run.model, trajectories).items
+    joined = (_joined(each, index, window, trained) for index in range(len(trajectories)))
+    items = tuple(replace(one, measured=item.values) for one, item in zip(joined, present, strict=True))
     if items and all(item.failure for item in items):
         first = items[0]
         raise ComputationError(

@@ -16,7 +16,7 @@ from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, sa
 from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data import deviations, states_far_outside
+from gbspec.data import deviations, present_values, states_far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted, of_rows
@@ -195,9 +195,9 @@ def validate(
 
     Predictions are solved by CVODES from each trajectory's initial state to its end without using later data: the
     initial state is the learned one on training data, the known one if the first row or the model gives it, and else
-    estimated from the trajectory itself. The mean of the members is the mean of their predictions. `sampling` and
-    `metrics` determine the comparison with the truth; default: the model's case if it is bundled, else as in the data
-    (`data_sampling`), and general values without data.
+    estimated from the trajectory itself. The zeros of absent states do not count, as in the training. The mean of the
+    members is the mean of their predictions. `sampling` and `metrics` determine the comparison with the truth; default:
+    the model's case if it is bundled, else as in the data (`data_sampling`), and general values without data.
 
     Raises UserError if there is no such member.
     """
@@ -216,8 +216,9 @@ def validate(
         each = [predictions(one, run.model, trajectories, run.fit) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         known = extrapolation_of(run, None if member == "mean" else member)
-        channels, errors = _on_data(run.model, trajectories, predicted, known)
-        worst = worst_row(run.model, trajectories, predicted)
+        present = present_values(run.model, trajectories)
+        channels, errors = _on_data(run.model, present, predicted, known)
+        worst = worst_row(run.model, present, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
