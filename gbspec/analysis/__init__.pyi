@@ -20,6 +20,7 @@ from .prediction.forecast import Forecast as Forecast
 from .prediction.forecast import PredictedTrajectory as PredictedTrajectory
 from .prediction.forecast import Use as Use
 from .prediction.forecast import forecast as forecast
+from .prediction.forecast import said_of_coverage as said_of_coverage
 from .prediction.forecast import said_of_items as said_of_items
 from .prediction.noise import interval as interval
 from .prediction.noise import noise_at as noise_at

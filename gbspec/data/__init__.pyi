@@ -13,6 +13,8 @@ from .columns import TRAJECTORY as TRAJECTORY
 from .columns import form_of as form_of
 from .draws import sobol as sobol
 from .draws import spread_over_ranges as spread_over_ranges
+from .fingerprints import beginnings as beginnings
+from .fingerprints import continued as continued
 from .fingerprints import fingerprint as fingerprint
 from .formats import Format as Format
 from .formats import format_named as format_named

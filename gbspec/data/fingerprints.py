@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectory
+
+Integers = NDArray[np.int64]
 
 
 def fingerprint(trajectory: Trajectory) -> str:
@@ -17,22 +21,61 @@ def fingerprint(trajectory: Trajectory) -> str:
     conditions in the same order), bit by bit; -0 counts as 0 and all NaN as one. Rows without a measurement do not
     count: a table that is read for training has none, one that is read for prediction keeps them.
     """
-    digest = hashlib.sha256()
-    measured = (trajectory.counts > 0).any(axis=1)
-    parts: list[NDArray[np.float64]] = [
-        np.array([trajectory.start]),
-        trajectory.times[measured],
-        trajectory.values[measured],
-        trajectory.counts[measured],
-        trajectory.sd[measured],
-        trajectory.condition,
-    ]
-    if trajectory.limits is not None:
-        parts += [trajectory.limits.value[measured], trajectory.limits.side[measured].astype(np.float64)]
+    parts = _measured(trajectory, measured_rows(trajectory))
     for signal in trajectory.inputs:
         parts += [signal.times, signal.values]
     for events in trajectory.doses:
         parts += [events.times, events.amounts]
+    return _digest(parts)
+
+
+def beginning(trajectory: Trajectory, rows: int) -> str:
+    """The same of its first `rows` measured rows alone, without inputs and doses, which go on after them."""
+    return _digest(_measured(trajectory, measured_rows(trajectory)[:rows]))
+
+
+def beginnings(items: Sequence[Trajectory]) -> list[list[int | str]]:
+    """What `continued` recognises trajectories by: the number of measured rows of each, and their `beginning`."""
+    counts = [len(measured_rows(item)) for item in items]
+    return [[rows, beginning(item, rows)] for rows, item in zip(counts, items, strict=True)]
+
+
+def continued(known: object, item: Trajectory) -> tuple[int, int] | None:
+    """Which of the trajectories that are `known` by their `beginnings` a trajectory begins with, and the number of rows
+    up to the last one of these; the longest, if it begins with several. A single row is no beginning."""
+    if not isinstance(known, list):
+        return None
+    measured = measured_rows(item)
+    table = {(rows, content): place for place, (rows, content) in enumerate(known)}
+    for rows in sorted({int(rows) for rows, _ in known if 2 <= rows <= len(measured)}, reverse=True):
+        place = table.get((rows, beginning(item, rows)))
+        if place is not None:
+            return place, int(measured[rows - 1]) + 1
+    return None
+
+
+def measured_rows(trajectory: Trajectory) -> Integers:
+    """The rows of a trajectory that have a measurement."""
+    return np.flatnonzero((trajectory.counts > 0).any(axis=1))
+
+
+def _measured(trajectory: Trajectory, rows: Integers) -> list[Array]:
+    """Start, condition, and what some rows measure."""
+    parts: list[Array] = [
+        np.array([trajectory.start]),
+        trajectory.times[rows],
+        trajectory.values[rows],
+        trajectory.counts[rows],
+        trajectory.sd[rows],
+        trajectory.condition,
+    ]
+    if trajectory.limits is not None:
+        parts += [trajectory.limits.value[rows], trajectory.limits.side[rows].astype(np.float64)]
+    return parts
+
+
+def _digest(parts: Sequence[Array]) -> str:
+    digest = hashlib.sha256()
     for part in parts:
         numbers = np.asarray(part, dtype="<f8") + 0.0
         numbers = np.where(np.isnan(numbers), np.nan, numbers)

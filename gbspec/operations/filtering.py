@@ -40,12 +40,21 @@ def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[st
 def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:
     """Channels and states at all rows of a table, with bands, as the measurements of the first `window` rows (all of
     them without it) show them; of the best member."""
-    from gbspec.analysis import Forecast, PredictedTrajectory, Start, Trained, said_of_ends, said_of_items
+    from gbspec.analysis import (
+        Forecast,
+        PredictedTrajectory,
+        Start,
+        Trained,
+        said_of_coverage,
+        said_of_ends,
+        said_of_items,
+    )
+    from gbspec.data import continued
     from gbspec.runs import said_of_training
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
-    model, trained = run.model, Trained.of(run)
+    model, ranges, beginnings = run.model, Trained.of(run), run.member(run.best).info.get("beginnings")
     items: list[PredictedTrajectory] = []
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
     for item, one in zip(data.items, filtered.smoothed(), strict=True):
@@ -54,7 +63,9 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         mean = np.concatenate([one.channels, one.states[:, hidden]], axis=1)
         sd = np.concatenate([one.channel_sd, one.state_sd[:, hidden]], axis=1)
         values = np.concatenate([item.values[rows], np.full((len(mean), len(hidden)), np.nan)], axis=1)
-        used = _uses(np.isfinite(item.values[rows]), window)
+        longer = continued(beginnings, item)
+        trained = 0 if longer is None else int(np.count_nonzero(rows[: longer[1]]))
+        used = _uses(np.isfinite(item.values[rows]), window, trained)
         first = one.states[0] if len(one.states) else np.full(len(model.states), np.nan)
         start = Start(first, run.member(run.best).weights["constants"], "smoothed" if window is None else "estimated")
         lost = ~np.isfinite(mean).all(axis=1)
@@ -66,7 +77,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
                 np.where(log, sd * np.abs(mean), sd),
                 values,
                 used,
-                trained.outside(model, replace(item, times=item.times[rows]), one.states, start),
+                ranges.outside(model, replace(item, times=item.times[rows]), one.states, start),
                 start,
                 (),
                 log,
@@ -80,11 +91,16 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         *said_of_items(items), *said_of_ends(model, items, hidden),
         *(said_of_training(run.fit.members) if ahead else ()),
     )  # fmt: skip
-    return Forecast(names, channels, states, tuple(items), 1, said, model.time.name)
+    found = Forecast(names, channels, states, tuple(items), 1, said, model.time.name)
+    return replace(found, warnings=(*said, *said_of_coverage(found.errors())))
 
 
-def _uses(measured: Mask, window: int | None) -> tuple[Use, ...]:
-    """The use of each row of a trajectory with these `measured` values [R, C]."""
+def _uses(measured: Mask, window: int | None, trained: int) -> tuple[Use, ...]:
+    """The use of each row of a trajectory with these `measured` values [R, C], of which the first `trained` rows are
+    rows of the training data."""
     some = measured.any(axis=1).astype(int)
     before = np.cumsum(some) - some
-    return tuple("window" if window is None or int(count) < window else "predicted" for count in before)
+    return tuple(
+        "window" if window is None or int(count) < window else "training" if row < trained else "predicted"
+        for row, count in enumerate(before)
+    )

@@ -7,7 +7,7 @@ are used; later measurements are only compared with the predictions.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -15,16 +15,10 @@ import numpy as np
 import polars as pl
 
 from gbspec.analysis.prediction.below_zero import said_of_ends
-from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
-from gbspec.analysis.prediction.estimate import estimator_of
-from gbspec.analysis.prediction.noise import interval, measured_deviations, noise_at
+from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
+from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import (
-    Prediction,
     Start,
-    learned_positions,
-    learned_start,
-    predict,
-    started,
 )
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import first_rows, window_rows
@@ -33,21 +27,21 @@ from gbspec.data import TRAJECTORY, present_values
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted
-from gbspec.ir import logarithmic, on_fitted_scale, slopes
+from gbspec.ir import logarithmic, on_fitted_scale
 from gbspec.runs import said_of_training
 
 if TYPE_CHECKING:
-    from gbspec.backends import Evaluator
-    from gbspec.data import Scales, Trajectories, Trajectory
+    from gbspec.data import Trajectories
     from gbspec.ir import Model
-    from gbspec.runs import Covariance, Run
+    from gbspec.runs import Run
 
 Use = Literal["training", "window", "predicted"]
 """The use of a row: in training, in the estimation of the initial state, or none."""
 
-NUDGE = 1e-3
-"""The step of the finite differences that propagate the uncertainty of an initial value or constant, in units of its
-standard deviation: the prior one, or that of the measurement."""
+
+ENOUGH, REFUTED = 10, 0.6
+"""Of at least so many measurements at least this share lies inside 90 % intervals that hold: of ten, fewer than six do
+in one of six hundred cases."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +196,7 @@ class Forecast(Tabled):
 
 ORIGINS = {
     "learned": "part of the training data: predicted from the learned initial state",
+    "continued": "the first rows are of the training data: later ones are predicted from what was learned there",
     "known": "the initial state is given by the first row and the model",
     "estimated": "what is unknown was estimated from the first rows, with all shared parameters held fixed",
     "smoothed": "shown by all measurements; `--window N` predicts the rows after the first N from these",
@@ -215,7 +210,8 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     `window` is the number of measured rows from which the initial state of a new trajectory is estimated (None: a
     third of them, at least three). Initial values that the first row measures are then estimated too, unless the window
     is that row alone; without `window` they are taken from it. A trajectory of the training data, recognised by
-    content, has its learned initial state. The interval is that of a new measurement: it includes the variance over the
+    content, has its learned initial state, and without `window` also one that begins with all rows of such a one and
+    goes on. The interval is that of a new measurement: it includes the variance over the
     members, the (linearised) uncertainties of the estimates and of the learned model (not for trajectories of the
     training data, whose starts were learned with it), and the noise that the fit estimated.
 
@@ -227,7 +223,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     released = window is not None and window > 1
     known = [run.certainties(number).covariance for number in run.numbers]
     each = [
-        _MemberPredictions(Evaluator(member), run, trajectories, scales, covariance, released)
+        MemberPredictions(Evaluator(member), run, trajectories, scales, covariance, released)
         for member, covariance in zip(run.members, known, strict=True)
     ]
     trained = Trained.of(run)
@@ -241,7 +237,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
             remedy="give a longer `--window`, or run `gbspec validate` on the training data",
         )  # fmt: skip
     hidden = hidden_states(run.model)
-    return Forecast(
+    found = Forecast(
         variables=(*trajectories.channels, *(run.model.states[i].name for i in hidden)),
         channels=trajectories.channels,
         states=tuple(state.name for state in run.model.states),
@@ -255,12 +251,18 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
             *said_of_ends(run.model, items, hidden),
         ),
     )
+    return replace(found, warnings=(*found.warnings, *said_of_coverage(found.errors())))
 
 
-def hidden_states(model: Model) -> tuple[int, ...]:
-    """The states whose names are not names of channels."""
-    named = {channel.name for channel in model.channels}
-    return tuple(i for i, state in enumerate(model.states) if state.name not in named)
+def said_of_coverage(errors: Mapping[str, Errors]) -> list[str]:
+    """A warning for each channel of which the measurements refute the intervals."""
+    return [
+        f"{100 * one.covered:.0f} % of the values of `{name}` that were not used lie inside its 90 % intervals: these "
+        "rows show something that the model lacks and the training data did not show, so that no interval from these "
+        "holds here. Train with such rows too, or give the model what they show"
+        for name, one in errors.items()
+        if one.n >= ENOUGH and one.covered < REFUTED
+    ]
 
 
 def _narrow(model: Model) -> str:
@@ -310,117 +312,21 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
     return found
 
 
-@dataclass(frozen=True)
-class _View:
-    """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start and
-    of the learned model."""
-
-    prediction: Prediction
-    variables: Array
-    variance: Array
+def uses(rows: int, trained: int, window: int) -> tuple[Use, ...]:
+    """The use of each of so many rows: the first `trained` ones in the training, those up to `window` in the window."""
+    return tuple("training" if i < trained else "window" if i < window else "predicted" for i in range(rows))
 
 
-class _MemberPredictions:
-    """The predictions of one member for a table."""
-
-    def __init__(
-        self,
-        evaluator: Evaluator,
-        run: Run,
-        trajectories: Trajectories,
-        scales: Scales,
-        covariance: Covariance | None,
-        released: bool,
-    ) -> None:
-        self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
-        self.estimator = estimator_of(evaluator, run.model, run.fit, scales, released)
-        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
-        self.displaced = Displaced(evaluator.instance, covariance, frozenset(run.values))
-
-    def view(self, index: int, rows: int) -> _View:
-        """The prediction of a trajectory from its first `rows` rows."""
-        item, position = self.trajectories.items[index], self.positions[index]
-        seen = first_rows(item, rows)
-        start = self.estimator.start(seen) if position is None else learned_start(self.evaluator, position, item)
-        found, variables = self._solve(item, start)
-        variance = np.zeros_like(variables)
-        refitted: Refit = unchanged
-        if start.origin == "estimated" and not found.failure:
-            variance, refitted = self._uncertainty(item, seen, start, variables)
-        # What training trajectories determine, their own start and the model together, has no further uncertainty.
-        if start.origin in ("known", "estimated") and not found.failure:
-            for state, deviation in measured_deviations(self.run, item, self.estimator.free(seen)).items():
-                change = deviation * self._slope(item, start, deviation, state=state)
-                variance = variance + refitted(change) ** 2
-
-            def solve(evaluator: Evaluator, moved: Start) -> Array:
-                # Initial values that are expressions, or steady states, follow from the displaced constants.
-                begun = started(evaluator, item, moved.state, moved.constants, moved.origin)
-                return self._solve(item, begun, evaluator)[1]
-
-            variance = variance + self.displaced.variance(start, variables, solve, refitted)
-        return _View(found, variables, variance)
-
-    def _solve(self, item: Trajectory, start: Start, evaluator: Evaluator | None = None) -> tuple[Prediction, Array]:
-        found = predict(self.evaluator if evaluator is None else evaluator, self.model, item, start)
-        return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
-
-    def _slope(
-        self, item: Trajectory, start: Start, size: float, *, state: int | None = None, constant: int | None = None
-    ) -> Array:
-        """The derivative [R, V] of the solution by an initial value or a constant of this size, by differences."""
-        sides, nudge = [], NUDGE * size
-        for by in (nudge, -nudge):
-            moved, constants = start.state.copy(), start.constants.copy()
-            if state is not None:
-                moved[state] += by
-            if constant is not None:
-                constants[constant] += by
-            sides.append(self._solve(item, started(self.evaluator, item, moved, constants, start.origin))[1])
-        return np.asarray((sides[0] - sides[1]) / (2 * nudge), dtype=np.float64)
-
-    def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> tuple[Array, Refit]:
-        """The variance [R, V] from the covariance of the estimate, the diagonal of J (J'WJ + P)^-1 J', by differences;
-        and how a change d of the solution that the shared parameters make is met by the estimate, which is refitted to
-        the window: d - J (J'WJ + P)^-1 J'W d.
-
-        W is the precision of the window's residuals (from the fit's noise, or their size if that is larger), P that of
-        the prior.
-        """
-        free = [*self.estimator.free(seen)]
-        own = list(self.estimator.own)
-        scale = np.concatenate([self.estimator.start_sd(seen)[free], self.estimator.own_sd])
-        columns = [self._slope(item, start, scale[k], state=free[k]) for k in range(len(free))]
-        columns += [self._slope(item, start, scale[len(free) + k], constant=place) for k, place in enumerate(own)]
-        moves = np.stack([by * column for by, column in zip(scale, columns, strict=True)], axis=-1)
-        rows, channels = len(seen.times), seen.values.shape[1]
-        predicted, scales = variables[:rows, :channels], self.estimator.scales
-        factor = scales.factor(seen)
-        measured = factor > 0
-        misfit = self.estimator.residuals(seen, predicted)[measured]
-        typical = float(np.sqrt(np.mean(misfit**2))) if measured.any() else 0.0
-        deviation = self.estimator.deviation(predicted)
-        if self.estimator.varying is None:
-            deviation = np.maximum(deviation, max(typical, 1e-9))
-        of_residuals = slopes(predicted, seen.values, factor, scales.log) / deviation
-        weighted = (moves[:rows, :channels] * of_residuals[:, :, None])[measured]
-        inverse = np.linalg.inv(weighted.T @ weighted + np.eye(len(scale)))
-
-        def refitted(change: Array) -> Array:
-            in_window = (change[:rows, :channels] * of_residuals)[measured]
-            return np.asarray(change - moves @ (inverse @ (weighted.T @ in_window)), dtype=np.float64)
-
-        return np.asarray(np.einsum("rvi,ij,rvj->rv", moves, inverse, moves), dtype=np.float64), refitted
-
-
-def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, known: Trained) -> PredictedTrajectory:
+def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, known: Trained) -> PredictedTrajectory:
     """The combined prediction of a trajectory by all members."""
     model, item = each[0].model, each[0].trajectories.items[index]
     own = bool(each[0].estimator.own)
-    trained = each[0].positions[index] is not None
+    position, longer = each[0].positions[index], each[0].longer[index]
+    trained = len(item.times) if position is not None else longer[1] if longer is not None else 0
+    goes_on = bool(trained) and window is None
     fixed = not each[0].estimator.free(item) and not own
-    rows = len(item.times) if trained else window_rows(item, fixed, window)
-    views = [one.view(index, rows) for one in each]
+    rows = trained if position is not None or goes_on else window_rows(item, fixed, window)
+    views = [one.view(index, rows, goes_on) for one in each]
     failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
     values = np.stack([v.variables for v in views])
     mean = values.mean(axis=0)
@@ -436,9 +342,7 @@ def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, 
         free = each[0].estimator.free(first_rows(item, rows))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
-    used: tuple[Use, ...] = tuple(
-        "training" if trained else "window" if i < rows else "predicted" for i in range(len(item.times))
-    )
+    used = uses(len(item.times), trained, rows)
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,

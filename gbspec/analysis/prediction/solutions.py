@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from gbspec.ir import Model
     from gbspec.runs import DataRecord
 
-Origin = Literal["learned", "known", "estimated", "smoothed", "failed"]
-"""The origin of an initial state: learned in training; known (given by the model, or measured in the first row);
-estimated from the trajectory's own data; smoothed by all of them (disturbances); or failed, if none was found."""
+Origin = Literal["learned", "continued", "known", "estimated", "smoothed", "failed"]
+"""The origin of an initial state: learned in training, of this trajectory or of its first rows; known (given by the
+model, or measured in the first row); estimated from the trajectory's own data; smoothed by all of them (disturbances);
+or failed, if none was found."""
 
 RTOL = 1e-8
 IN_LOGARITHMS = 1e-6
@@ -101,12 +102,12 @@ def learned_positions(member: GeneratedModule, trajectories: Trajectories, data:
     return [i if same else None for i in range(len(trajectories))]
 
 
-def learned_start(evaluator: Evaluator, position: int, item: Trajectory) -> Start:
+def learned_start(evaluator: Evaluator, position: int, item: Trajectory, origin: Origin = "learned") -> Start:
     """The learned start of the trajectory at this index of the training data."""
     member = evaluator.instance
     constants = own_constants(evaluator, position)
     state = np.array(member.weights["initial"][position], dtype=float)
-    return started(evaluator, item, state, constants, "learned")
+    return started(evaluator, item, state, constants, origin)
 
 
 def started(evaluator: Evaluator, item: Trajectory, state: Array, constants: Array, origin: Origin) -> Start:

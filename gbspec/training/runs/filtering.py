@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
-from gbspec.data import Trajectories, fingerprint
+from gbspec.data import Trajectories, continued, fingerprint
 from gbspec.training.engines import Filtered, FilterEngine, Whiteness, filter, whiteness
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Integers
@@ -164,7 +164,7 @@ def filter_run(
         visible = _without(trajectories, hidden)
         shown = build_context(run.model, run.module, visible, options, 0)
         guess = _middles(run, visible, hidden, guess)
-    starts, constants = _known(run, instance.weights, _marks(instance), trajectories, guess)
+    starts, constants = _known(run, instance, trajectories, guess)
     parameters = replace(shown.parameters(fixed), start_value=starts)
     engine = FilterEngine.of(context.problem(0.0), parameters)
     noise = {} if record.likelihood is None else record.likelihood.noise
@@ -206,10 +206,15 @@ def _middles(run: Run, visible: Trajectories, hidden: Sequence[Mask], start: Arr
     return out
 
 
-def _marks(instance: GeneratedModule) -> Sequence[object]:
-    """The fingerprints of the trajectories that training saw."""
+def _places(instance: GeneratedModule, trajectories: Trajectories) -> list[int | None]:
+    """Which trajectory of the training each one is, or begins with; None for new ones."""
     found = instance.info.get("fingerprints")
-    return found if isinstance(found, list) else []
+    learned = {str(mark): i for i, mark in enumerate(found if isinstance(found, list) else [])}
+    out: list[int | None] = []
+    for item in trajectories.items:
+        longer = continued(instance.info.get("beginnings"), item)
+        out.append(learned.get(fingerprint(item), None if longer is None else longer[0]))
+    return out
 
 
 def _measured_place(engine: FilterEngine) -> Integers:
@@ -223,17 +228,13 @@ def _measured_place(engine: FilterEngine) -> Integers:
     return out
 
 
-def _known(
-    run: Run, weights: Mapping[str, Array], marks: Sequence[object], trajectories: Trajectories, guess: Array
-) -> tuple[Array, Array]:
+def _known(run: Run, instance: GeneratedModule, trajectories: Trajectories, guess: Array) -> tuple[Array, Array]:
     """Starts [N, n] and learnable constants [N, k] of trajectories: those learned, where training saw them."""
-    model, known = run.model, len(run.model.constants)
-    learned = {str(mark): i for i, mark in enumerate(marks)}
+    model, known, weights = run.model, len(run.model.constants), instance.weights
     starts = guess.copy()
     constants = np.tile(np.asarray(weights["constants"], dtype=np.float64)[known:], (len(trajectories), 1))
     kinds = np.array([state.initial.kind == "learned" for state in model.states])
-    for i, item in enumerate(trajectories.items):
-        place = learned.get(fingerprint(item))
+    for i, place in enumerate(_places(instance, trajectories)):
         if place is None:
             continue
         starts[i, kinds] = np.asarray(weights["initial"])[place, kinds]

@@ -13,7 +13,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
-from gbspec.data import Estimated, Trajectories, fingerprint
+from gbspec.data import Estimated, Trajectories, beginnings, fingerprint
 from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
@@ -342,6 +342,7 @@ class _Runner:
             "labels": result.labels,
             # Learned initial states are looked up by the content of a trajectory, in any table.
             "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
+            "beginnings": beginnings(self.context.trajectories.items),
             **more,
         }
         path = self.directory / files.WEIGHTS

@@ -1,0 +1,82 @@
+"""Trajectories that begin with the rows of one of the training data, and go on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gbspec.analysis.prediction.forecast import Errors, forecast, said_of_coverage
+from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory, beginnings, continued
+from gbspec.runs import Run
+from gbspec.training import TrainOptions, train
+from tests.training.conftest import model_of, trajectory
+
+TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+
+
+def decay(label: str, rate: float, rows: int = len(TIMES), seed: int = 0) -> Trajectory:
+    noise = 1 + 0.02 * np.random.default_rng(seed).standard_normal(len(TIMES))
+    values = 10 * np.exp(-rate * TIMES) * noise
+    return trajectory(label, 0.0, TIMES[:rows], values[:rows, None], [])
+
+
+def test_the_longest_beginning_is_found_whatever_follows() -> None:
+    known = beginnings([decay("a", 0.3, 3), decay("b", 0.3, 5), decay("c", 0.5, 4), decay("d", 0.7, 1)])
+    assert continued(known, decay("x", 0.3)) == (1, 5)
+    assert continued(known, decay("x", 0.5)) == (2, 4)
+    assert continued(known, decay("x", 0.7)) is None, "one row is no beginning"
+    assert continued(known, decay("x", 0.3, seed=1)) is None
+    assert continued(known, decay("x", 0.3, 4)) == (0, 3)
+    assert continued(None, decay("x", 0.3)) is None, "an older run does not know"
+
+
+def test_inputs_and_doses_that_go_on_and_rows_without_a_value_change_no_beginning() -> None:
+    short = decay("a", 0.3, 4)
+    signal, dose = Signal(TIMES[:4], np.ones(4)), DoseEvents(np.array([1.0]), np.array([2.0]))
+    known = beginnings([replace(short, inputs=(signal,), doses=(dose,))])
+    longer = decay("a", 0.3)
+    values, counts = longer.values.copy(), longer.counts.copy()
+    values[4:], counts[4:] = np.nan, 0
+    ahead = replace(
+        longer, values=values, counts=counts, inputs=(Signal(TIMES, np.ones(10)),),
+        doses=(DoseEvents(np.array([1.0, 6.0]), np.array([2.0, 2.0])),),
+    )  # fmt: skip
+    assert continued(known, ahead) == (0, 4)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    model = model_of(
+        "model decay\ntime t from 0\nstate x in [0, 20]\nlearn k = 0.3 in [0.05, 5] per trajectory\n"
+        "learn b = 0.1 in [0, 1]\nx' = -k*x - b*0.01*x\nobserve x\n"
+    )
+    data = Trajectories((decay("a", 0.3, 5), decay("b", 0.6, 5, 1), decay("c", 0.9, 5, 2)), ("x",))
+    return train(model, data, TrainOptions(effort="low"), tmp_path_factory.mktemp("decays") / "run")
+
+
+def test_what_was_learned_of_a_trajectory_predicts_its_later_rows(run: Run) -> None:
+    found = forecast(run, Trajectories((decay("new name", 0.6, seed=1), decay("other", 0.4, seed=9)), ("x",)))
+    again, other = found.items
+    assert again.start.origin == "continued"
+    assert again.used == ("training",) * 5 + ("predicted",) * 5
+    rate = again.start.constants[run.model.constant_names.index("k")]
+    assert rate == pytest.approx(float(run.member().weights["per_trajectory.k"][1]))
+    np.testing.assert_allclose(again.mean[5:, 0], 10 * np.exp(-0.6 * TIMES[5:]), rtol=0.1)
+    assert (again.sd[5:, 0] > 0).all()
+    assert other.start.origin == "estimated"
+    assert found.errors()["x"].n == 5 + other.used.count("predicted")
+    assert "the first rows are of the training data" in str(found)
+
+
+def test_a_window_that_is_given_is_kept_and_training_rows_are_no_errors(run: Run) -> None:
+    (item,) = forecast(run, Trajectories((decay("b", 0.6, seed=1),), ("x",)), window=3).items
+    assert item.start.origin == "estimated"
+    assert item.used == ("training",) * 5 + ("predicted",) * 5
+
+
+def test_intervals_that_measurements_refute_are_told() -> None:
+    refuted, held, few = Errors(40, 1.0, 1.0, 0.3), Errors(40, 1.0, 1.0, 0.8), Errors(9, 1.0, 1.0, 0.1)
+    (said,) = said_of_coverage({"x": refuted, "y": held, "z": few})
+    assert said.startswith("30 % of the values of `x`")
