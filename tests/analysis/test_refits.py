@@ -12,7 +12,7 @@ import pytest
 
 from gbspec.analysis.prediction import estimate
 from gbspec.analysis.prediction.displaced import Displaced
-from gbspec.analysis.prediction.estimate import Estimator, predictions
+from gbspec.analysis.prediction.estimate import Estimator, predictions, spread_of_next
 from gbspec.analysis.prediction.forecast import forecast
 from gbspec.analysis.prediction.solutions import Start, predict
 from gbspec.analysis.prediction.start_comparison import initial_states
@@ -256,3 +256,13 @@ def test_the_uncertainty_of_the_model_is_that_of_its_linearisation() -> None:
     assert np.ptp(ratio) < 0.05 and 0.6 < ratio.mean() < 1.4, "one number per draw, of 16"
     fixed = Displaced(evaluator.instance, known, frozenset({"k"}))
     np.testing.assert_allclose(fixed.variance(start, solve(evaluator, start), solve), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 20])
+def test_the_spread_of_a_new_trajectory_is_that_of_one_more_of_few(count: int) -> None:
+    """90 % of the next values lie inside the interval that the ones before give, however few these are."""
+    values = np.random.default_rng(count).standard_normal((count + 1, 20000))
+    sd, mean = spread_of_next(values[:count]), values[:count].mean(axis=0)
+    inside = np.abs(values[count] - mean) < 1.6448536 * sd
+    assert inside.mean() == pytest.approx(0.9, abs=0.01)
+    assert spread_of_next(values[:1]).max() == 0

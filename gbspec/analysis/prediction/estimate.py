@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.prediction.noise import depends_on_value, residual_noise
+from gbspec.analysis.prediction.noise import NORMAL_90, depends_on_value, residual_noise
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
@@ -77,7 +77,7 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
     """The prior from the learned initial states of the training data, else from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
-        sd = learned.std(axis=0)
+        sd = spread_of_next(learned)
         return Prior(learned.mean(axis=0), np.where(sd > 0, sd, np.maximum(np.abs(learned).max(axis=0), 1.0)))
     center, sd = [], []
     for state in model.states:
@@ -86,6 +86,19 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
         center.append(guess)
         sd.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
     return Prior(np.array(center, dtype=float), np.array(sd, dtype=float))
+
+
+def spread_of_next(values: Array) -> Array:
+    """The standard deviation [...] of the next of N values [N, ...] of a normal distribution of which nothing else is
+    known: that of the normal distribution whose 90 % interval is the one of Student's t with N - 1 degrees of freedom,
+    s t sqrt(1 + 1/N) (Hahn and Meeker 1991, section 4.7). 0 for a single value."""
+    from scipy.special import stdtrit
+
+    count = len(values)
+    if count < 2:
+        return np.zeros(values.shape[1:])
+    wider = float(stdtrit(count - 1, 0.95)) / NORMAL_90 * float(np.sqrt(1 + 1 / count))
+    return np.asarray(values.std(axis=0, ddof=1) * wider, dtype=np.float64)
 
 
 def predictions(
@@ -157,7 +170,7 @@ class Estimator:
         found = [
             self.evaluator.instance.weights.get(f"per_trajectory.{n}") for n in self.evaluator.instance.per_trajectory
         ]
-        sd = [0.0 if values is None or len(values) < 2 else float(np.std(values, ddof=1)) for values in found]
+        sd = [0.0 if values is None else float(spread_of_next(np.asarray(values))) for values in found]
         return np.where(np.array(sd) > 0, sd, np.maximum(center, 1e-3))
 
     def residuals(self, item: Trajectory, channels: Array) -> Array:
