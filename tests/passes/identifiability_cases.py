@@ -10,6 +10,10 @@ ORAL = "state g\nstate c\nlearn ka = 1\nlearn ke = 0.3\ng' = -ka*g\nc' = ka*g - 
 CELL = "state q in [0, 1]\ninput I in [-2, 2] held\nlearn Q = 2 in [0.1, 10]\nq' = -I/Q\n"
 OVER = "state x in [0, {}]\nlearn k = 1\nx' = -k*max(x - 5, 0)\nobserve x\n"
 LEVELS = "state x in [{}]\nlearn a = 2\nlearn b = 1\nx' = -(a + b*floor(x))*x\nobserve x\n"
+SENSOR = (
+    "input u in [0, 8] held\nstate x1 in [0, 14] = 5\nstate x2 in [{}, 14] = 12\nlearn k = 0.04 in [0.005, 0.3]\n"
+    "unknown q1(x1)\nunknown q2(x2)\nx1' = k*u - q1\nx2' = q1 - q2\nobserve y = {}\n"
+)
 SIDES = "state x in [{}, 10]\nlearn a = 2\nlearn b = 1\nx' = -(a + b*sign(x - 2))*x\nobserve x\n"
 
 
@@ -221,6 +225,18 @@ FURTHER: dict[str, Case] = {
         "state x in [0, 1]\nstate y in [0, 1]\nlearn a = 1e-5\nlearn b = 3e-6\nx' = -a*x\ny' = a*x - b*y\nobserve x\n"
         "observe y\n",
         0, set(), set(), "two slopes, however small",
+    ),
+    "tanks in a row with unknown outflows, a sensor with an upper limit": (
+        SENSOR.format(0, "min(x2, 10)"), 0, set(), set(), "below the limit y is x2: q2 from x2' at u = 0, k from x2''",
+    ),
+    "the same limit as a condition": (SENSOR.format(0, "if(x2 < 10, x2, 10)"), 0, set(), set(), "as before"),
+    "the same limit as what is cut off": (SENSOR.format(0, "x2 - max(x2 - 10, 0)"), 0, set(), set(), "as before"),
+    "a sensor that is always at its limit": (
+        SENSOR.format(11, "min(x2, 10)"), 1, {"k"}, set(), "y is 10 whatever happens",
+    ),
+    "a sensor with a limit and an unknown scale": (
+        SENSOR.replace("learn k", "learn s = 1 in [0.5, 2]\nlearn k").format(0, "min(s*x2, 10)"),
+        1, {"s", "k"}, {"q1", "q2"}, "levels in other units, s and k with them: y is unchanged on both sides",
     ),
     "the logarithm of one of three states, whose sizes and constants differ by many decades": (
         "state T in [0, 1e6]\nstate I in [0, 1e6]\nstate V in [1, 1e8]\nlearn beta in [1e-10, 1e-6]\n"

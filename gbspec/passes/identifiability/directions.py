@@ -210,12 +210,15 @@ def _scaled(system: LinearSystem) -> LinearSystem:
 def _tells(systems: Sequence[LinearSystem]) -> bool:
     """Whether an expansion is long enough to tell anything: at low order free initial values and functions compensate
     everything, also made-up terms of the rates, so that it says nothing of constants that they compensate too."""
-    seen = np.zeros(systems[0].probes.shape[1], dtype=bool)
+    count = systems[0].probes.shape[1]
+    seen, acts = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
     for system in systems:
         sizes = np.linalg.norm(system.probes, axis=0)
         left = np.linalg.norm(_without_others(system, system.probes), axis=0)
-        seen |= (left > PROBED * sizes) | (sizes < 1e-12)
-    return bool(seen.all())
+        acting = sizes >= 1e-12
+        seen |= acting & (left > PROBED * sizes)
+        acts |= acting  # a branch that shows nothing, as of a sensor at its limit, does not speak for the others
+    return bool((seen | ~acts).all())
 
 
 def _compressed(matrix: Array) -> Array:
