@@ -104,7 +104,11 @@ def identifiability(examination: Examination) -> dict[str, object]:
         }
         for found in answer.sets
     ]
-    return {"decided": answer.decided, "inseparable": sets}
+    return {
+        "decided": answer.decided,
+        "inseparable": sets,
+        "reasons": [each.lstrip(": ") for each in reasons(examination)],
+    }
 
 
 def examination_summary(examination: Examination) -> str:
@@ -128,4 +132,4 @@ def reasons(examination: Examination) -> list[str]:
         (reached, f"it depends on which {what} the data reach"),
         (answer.faint, "effects on what is observed are too small, beside those of others, to be told from rounding"),
     ]
-    return [f" for {', '.join(names)}: {reason}" for names, reason in told if names] or [""]
+    return [f" for {', '.join(names)}: {reason}" for names, reason in told if names] or [answer.reason]

@@ -17,6 +17,7 @@ from gbspec.passes.identifiability.points import bases_of
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.reach import Reach
 from gbspec.passes.identifiability.series import Algebra, Effort, OutOfEffortError
+from gbspec.passes.identifiability.undecided import Open, Why
 
 SMALL = 1e-8
 """Singular values below this fraction of the largest count as zero."""
@@ -25,6 +26,8 @@ MOST_COLUMNS = 1200
 ORDERS = range(1, 6)
 MOST_ORDERS = 15
 """The highest order, where constants are far from what is observed or low orders tell nothing."""
+SILENT = 5
+"""After more orders than these that tell nothing, more effort is not what is missing."""
 PROBED = 1e-6
 """A made-up term of which a smaller fraction is left counts as compensated."""
 DECOMPOSITION = 0.5
@@ -57,8 +60,8 @@ class Directions:
     """Whether the expansions are long enough: else they say nothing of any constant."""
 
 
-def find(question: Question, effort: Effort) -> Directions | None:
-    """The directions at increasing order, until their number is constant; None (undecided) if the budget ends first.
+def find(question: Question, effort: Effort) -> Directions | Open:
+    """The directions at increasing order, until their number is constant; what ended the search if it is before that.
 
     Equal ranks in a row end the search, of orders above that at which the last constant can show, and at which the
     expansions tell something: at low orders free initial values of unmeasured states compensate everything. Two are
@@ -74,11 +77,14 @@ def find(question: Question, effort: Effort) -> Directions | None:
     needed = 3 if question.hidden and not question.probed else 2
     past: list[Directions] = []
     branches = Branches(question)
-    order, silent = 0, 0
-    while (order := order + 1) <= min(last + silent, MOST_ORDERS):
+    silent, ended = 0, None
+    for order in range(1, MOST_ORDERS + 1):
+        if order > last + silent:
+            break
         large = size(question, order) > MOST_COLUMNS
         found = None if large else at_order(question, order, effort, branches)
         if found is None:
+            ended = Open(_ended(large, effort, silent if not past else 0), order - 1)
             break
         if not found.basis.shape[1] and not found.functions and not found.own and not found.doubtful.shape[1]:
             return found
@@ -90,7 +96,16 @@ def find(question: Question, effort: Effort) -> Directions | None:
         settled = order > first and len(past) >= needed and len(ranks) == 1
         if settled and (order > first + cancelling or _explained(question, found)):
             return found
-    return past[-1] if past and _explained(question, past[-1]) else None
+    if past and _explained(question, past[-1]):
+        return past[-1]
+    return ended or Open(Why.ORDERS if past else Why.COMPENSATED, min(last + silent, MOST_ORDERS))
+
+
+def _ended(large: bool, effort: Effort, silent: int) -> Why:
+    """What ended the search: after so many orders that told nothing, not their size or effort."""
+    if not large and effort.left >= 0:
+        return Why.VALUES
+    return Why.COMPENSATED if silent > SILENT else Why.SIZE if large else Why.EFFORT
 
 
 def _explained(question: Question, found: Directions) -> bool:

@@ -17,10 +17,8 @@ from gbspec.passes.identifiability.jets import size
 from gbspec.passes.identifiability.question import Question, pose
 from gbspec.passes.identifiability.series import Effort
 from gbspec.passes.identifiability.symmetry import Symmetry, keeps_zeros, symmetries, transformations
-from gbspec.passes.terms import larger_than
+from gbspec.passes.identifiability.undecided import Open, no_numbers, reason, unexamined
 
-MOST_STATES = 40
-MOST_NODES = 50_000
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
 """Earlier warnings on a constant that explain why it cannot be learned: never used, used only in comparisons."""
 
@@ -62,6 +60,8 @@ class Identifiability:
     """The constants whose effects are too small beside others to be told from rounding."""
     branched: bool = False
     """Whether the model has branches."""
+    reason: str = ""
+    """Why the analysis did not come to its end, and what would help, as it follows "could not be decided"."""
 
 
 def identifiability(model: Model, findings: Findings, budget: float = BUDGET) -> Identifiability:
@@ -73,11 +73,8 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     """
     if not model.learnables and not model.unknowns:
         return Identifiability(True)
-    unexamined = model.events or model.algebraics or model.delays or model.steady is not None
-    if unexamined:  # what thresholds, resets, solved equations, the past and steady starts tell
-        return Identifiability(False)
-    if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
-        return Identifiability(False)
+    if told := unexamined(model):
+        return Identifiability(False, reason=told)
     effort = Effort(budget)
     try:
         everything = find(pose(model, all_states=True), effort)
@@ -85,9 +82,9 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
         question = pose(model, all_states=bool(model.diffusions))
         declared = find(question, effort) if not model.diffusions else everything
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
-        return Identifiability(False)
-    if declared is None:
-        return Identifiability(False)
+        return Identifiability(False, reason=no_numbers())
+    if isinstance(declared, Open):
+        return Identifiability(False, reason=reason(question, declared))
     disturbing = {s.name for diffusion in model.diffusions for s in diffusion.value.free_symbols}
     sets = [each for each in _sets(question, declared, everything) if not disturbing & set(each.names)]
     sets += _free_states(question, effort)
@@ -122,12 +119,12 @@ def by_one_trajectory(model: Model, budget: float = BUDGET) -> tuple[Inseparable
         found = find(question, Effort(budget))
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
         return ()
-    if found is None:
+    if isinstance(found, Open):
         return ()
     return tuple(each for each in _sets(question, found, None) if each.constants and each.unknowns)
 
 
-def _sets(question: Question, declared: Directions, everything: Directions | None) -> list[Inseparable]:
+def _sets(question: Question, declared: Directions, everything: Directions | Open | None) -> list[Inseparable]:
     names = [k.name for k in question.sought]
     known = symmetries(question, declared) if declared.basis.shape[1] else []
     sets: list[Inseparable] = []
@@ -138,9 +135,9 @@ def _sets(question: Question, declared: Directions, everything: Directions | Non
         constants += tuple(k.name for k in question.own if k.name in unknowns)
         ordered = tuple(u.name for u in question.model.unknowns if u.name in unknowns)
         proofs = [s for s in known if set(s.constants) <= set(constants)]
-        measured = everything is not None and _within(group, everything.basis)
+        measured = isinstance(everything, Directions) and _within(group, everything.basis)
         sets.append(Inseparable(constants, ordered, _proof(proofs, group.shape[1]), measured))
-    if everything is not None:
+    if isinstance(everything, Directions):
         sets += _loose(declared, everything, {name for s in sets for name in s.names})
     return sets
 
