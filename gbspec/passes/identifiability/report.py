@@ -10,6 +10,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir import Model
+from gbspec.passes.identifiability import remedies
 from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.directions import MOST_COLUMNS, ORDERS, Directions, absorbers, at_order, find
 from gbspec.passes.identifiability.generators import echelon
@@ -221,8 +222,9 @@ def _warn(model: Model, question: Question, found: Inseparable, findings: Findin
     others = [*((n, "state") for n in found.states), *((n, "learnable constant") for n in found.constants)]
     others += [(n, "unknown function") for n in found.unknowns]
     (_, kind), *others = others
-    labels = [Label(span, text) for name, text in others if (span := spans.get(name)) is not None]
     place: Span | None = spans.get(found.names[0])
+    told = {spans[name]: text for name, text in others if spans.get(name) not in (None, place)}  # each place once
+    labels = [Label(span, text) for span, text in told.items() if span is not None]
     findings.warning(
         code,
         message,
@@ -275,7 +277,7 @@ def _help(model: Model, question: Question, found: Inseparable, code: str) -> st
     if not found.measured_states and hidden:
         ways.append(f"observe {_list(hidden, 'or')}")
     if found.constants:
-        ways.append(f"give {_list(found.constants, 'or')} a value (`const`) or a prior")
+        ways += remedies.ways(model, found.constants)
     if found.unknowns and found.measured_states:
         ways.append(f"leave an argument out of {_list(found.unknowns, 'or')}")
     return f"{'; or '.join(ways)}; or accept it with `allow {code} {found.names[0]}`"
