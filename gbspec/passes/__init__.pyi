@@ -5,6 +5,7 @@ from .delays import least_value as least_value
 from .examination import Examination as Examination
 from .examination import examine as examine
 from .identifiability import by_one_trajectory as by_one_trajectory
+from .identifiability import differing as differing
 from .nonnegative import never_negative as never_negative
 from .override import with_values as with_values
 from .steady import with_steady_start as with_steady_start

@@ -76,6 +76,21 @@ def test_check_json_has_its_keys_in_order(document: Run) -> None:
     assert file["diagnostics"] == []
 
 
+def test_check_json_has_the_columns_of_groups_apart_from_conditions(document: Run, tmp_path: Path) -> None:
+    path = tmp_path / "m.gb"
+    path.write_text(
+        "model m\ntime t from 0\ncondition dose in [0, 9]\ncondition kind in {wild, mutant}\nstate x in [0, 9]\n"
+        "learn k = 1 in [0.1, 9] per trajectory ~ lognormal per strain ~ lognormal\nlearn a = 1 in [0.1, 9] per kind\n"
+        "x' = -k*a*x\ninitial x = dose\nobserve x\n"
+    )
+    (file,) = document("check", path)["files"]
+    assert file["conditions"] == ["dose", "kind"]
+    assert file["groups"] == [
+        {"column": "kind", "constants": ["a_wild", "a_mutant"]},
+        {"column": "strain", "constants": ["k"]},
+    ]
+
+
 def test_check_reports_everything_of_every_file(gbspec: Run, document: Run, decay: Path) -> None:
     bad = decay.with_name("bad.gb")
     bad.write_text("model bad\nstate x\nstate y\nx' = -k*x\n")

@@ -70,7 +70,7 @@ def describe(
         "path": path,
         "model": model.name if model else None,
         "states": [state.name for state in parts.states],
-        "conditions": [condition.name for condition in parts.conditions],
+        "conditions": [condition.name for condition in parts.conditions if not condition.labels],
         "inputs": [item.name for item in parts.inputs],
         "constants": [constant.name for constant in parts.constants],
         "learnables": [learnable.name for learnable in parts.learnables],
@@ -88,7 +88,20 @@ def describe(
         "diagnostics": [to_json(d) for d in findings],
         "channels": [channel.name for channel in parts.channels],
         "starts": {s.name: start(parts, s.initial, i in measured) for i, s in enumerate(parts.states)},
+        "groups": groups(parts),
     }
+
+
+def groups(model: Model) -> list[dict[str, object]]:
+    """The columns of the table by which constants differ (`per COLUMN`), each with these constants."""
+    from gbspec.passes import differing
+
+    names = {group.condition.name: [k.name for k in group.members] for group in differing(model)}
+    for learned in model.distributed:
+        for level in learned.distribution.levels if learned.distribution is not None else ():
+            names.setdefault(level.column, []).append(learned.name)
+    columns = {condition.name: condition.column or condition.name for condition in model.conditions}
+    return [{"column": columns.get(name, name), "constants": constants} for name, constants in names.items()]
 
 
 def identifiability(examination: Examination) -> dict[str, object]:
