@@ -10,6 +10,7 @@ from gbspec.diagnostics import Findings, Source, Span
 from gbspec.syntax import mistakes
 from gbspec.syntax.grammar import engine
 from gbspec.syntax.parser import parse, parse_expression
+from tests.texts import model_of
 
 ROOT = Path(__file__).parents[2]
 SLIPS = [line.split("\t") for line in (Path(__file__).parent / "slips.tsv").read_text("utf-8").splitlines()[1:]]
@@ -86,6 +87,23 @@ def test_the_diagnostic_does_not_depend_on_the_preceding_text() -> None:
 def test_help_takes_the_rest_of_the_file_into_account(text: str, said: str) -> None:
     (finding,) = findings_of(text)
     assert said in finding.help
+
+
+@pytest.mark.parametrize(
+    ("declared", "lines"),
+    [
+        ("q(T - x)", ["let q_argument = T - x", "unknown q(q_argument)"]),
+        ("q(2*x)", ["let q_argument = 2*x", "unknown q(q_argument)"]),
+        ("q(log(x))", ["let q_argument = log(x)", "unknown q(q_argument)"]),
+        ("q(x, (x + 1)*T^2, T)", ["let q_argument = (x + 1)*T^2", "unknown q(x, q_argument, T)"]),
+    ],
+)
+def test_an_expression_as_an_argument_leads_to_lines_that_are_right(declared: str, lines: list[str]) -> None:
+    before, after = "state x in [1, 9]\ninput T held\n", "x' = -q\nobserve x\n"
+    (finding,) = findings_of(f"{before}unknown {declared} >= 0 by mlp(8)\n{after}")
+    assert finding.code == "GB159"
+    assert finding.help.split("write ")[1] == " and ".join(f"`{line}`" for line in lines)
+    model_of(f"model m\n{before}{lines[0]}\n{lines[1]} >= 0 by mlp(8)\n{after}")
 
 
 def test_what_was_expected_is_said_in_the_user_s_words() -> None:
