@@ -9,7 +9,7 @@ from dataclasses import replace
 import sympy
 
 from gbspec.diagnostics import Findings, Span
-from gbspec.ir import Event, Expr, Model, Timing, symbol
+from gbspec.ir import Channel, Event, Expr, Model, Timing, symbol
 from gbspec.lower import waiting
 from gbspec.semantics import Checked
 from gbspec.syntax import ast, target_name
@@ -42,7 +42,7 @@ def lowered(model: Model, checked: Checked, expression: Lower, fixed: Lower, fin
             found += made
     found.sort(key=lambda event: (event.timing is None, -event.priority))  # stable: else as written
     model = replace(model, events=tuple(found))
-    _refuse_together(model, findings)
+    _refuse_together(model, checked, findings)
     return model
 
 
@@ -191,7 +191,7 @@ def _signs(argument: Expr) -> tuple[tuple[Expr, sympy.Basic], ...]:
     return (sympy.S.One, above), (sympy.S.NegativeOne, below), (sympy.S.Zero, sympy.true)
 
 
-def _refuse_together(model: Model, findings: Findings) -> None:
+def _refuse_together(model: Model, checked: Checked, findings: Findings) -> None:
     """Errors for what is not offered together with events (GB351)."""
     if not model.events:
         return
@@ -200,9 +200,27 @@ def _refuse_together(model: Model, findings: Findings) -> None:
             help = "leave out `~ …`, so that each trajectory has a value of its own, or leave out the events"
             message = f"`{learnable.name}` is distributed between trajectories, which events do not offer yet"
             findings.error("GB351", message, learnable.span, help=help)
+    learned = {k.symbol for k in model.learnables}
     for channel in model.channels:
-        if channel.noise is not None and channel.noise.value is not None:
-            why = "is Student's" if channel.noise.kind == "student" else "holds learned constants"
+        noise = channel.noise
+        if noise is not None and noise.value is not None:
+            holds = "holds learned constants" if noise.value.free_symbols & learned else "depends on the measured value"
+            why = "is Student's" if noise.kind == "student" else holds
             message = f"the noise of `{channel.name}` {why}, which events do not offer yet"
-            help = "write `noise normal(…)` with a number, or leave out the events"
-            findings.error("GB351", message, channel.span, help=help)
+            help = "write `noise normal(…)` or `noise lognormal(…)` with a number, or leave out the events"
+            findings.error("GB351", message, channel.span, help=help + _counted(model, channel, checked))
+
+
+def _counted(model: Model, channel: Channel, checked: Checked) -> str:
+    """What to observe without events where one empties a count at given times, as that of the cases of a week."""
+    emptied = {name: event.name for event in model.events if event.timing is not None for name, _ in event.values}
+    seen = {symbol.name for symbol in channel.value.free_symbols}
+    balances = {target_name(s.target).text: s.span for s in checked.all(ast.BalanceStatement)}
+    for name in sorted(emptied.keys() & seen & balances.keys()):
+        rate = balances[name].text.partition("=")[2].strip()
+        return (
+            f"; without `event {emptied[name]}`, `observe {channel.name}` may have such a noise with the rate of"
+            f" `{name}` in place of `{name}` (`{rate}`, what is counted in a unit of time), or with `{name}` as the sum"
+            " from the start, which the table then has to hold"
+        )
+    return ""
