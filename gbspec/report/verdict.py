@@ -13,7 +13,7 @@ from gbspec.frames import counted
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
-from gbspec.runs import CERTAIN, FOLLOWED, how_followed
+from gbspec.runs import CERTAIN, FOLLOWED, held_elsewhere, how_followed
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
@@ -180,8 +180,12 @@ def _missing(run: Run, doubt: list[str], do: list[str]) -> None:
     """What was not tried."""
     record = run.fit
     if not record.finished:
-        doubt.append("Training was interrupted.")
-        do.append("Continue it: the same `gbspec train` command with `--resume`.")
+        if held_elsewhere(run.path):
+            doubt.append("Another process is still training it.")
+            do.append("Look again when that process has ended.")
+        else:
+            doubt.append("Training was interrupted.")
+            do.append("Continue it: the same `gbspec train` command with `--resume`.")
     if run.model.unknowns and len(run.numbers) < 2:
         doubt.append("A single member does not show how far the functions depend on the random start.")
         do.append("Train several: `--members 5`.")

@@ -9,6 +9,7 @@ from .following import FOLLOWED as FOLLOWED
 from .following import autocorrelated as autocorrelated
 from .following import how_followed as how_followed
 from .following import said_of_training as said_of_training
+from .locks import held_elsewhere as held_elsewhere
 from .locks import locked as locked
 from .population import POPULATION as POPULATION
 from .population import EffectRecord as EffectRecord

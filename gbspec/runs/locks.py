@@ -33,3 +33,20 @@ def locked(directory: Path) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def held_elsewhere(directory: Path) -> bool:
+    """Whether another process, or another thread, writes to a run now."""
+    from filelock import FileLock, Timeout
+
+    path = directory.resolve() / LOCK
+    if not path.is_file():
+        return False
+    lock = FileLock(str(path), timeout=PATIENCE, is_singleton=True)
+    try:
+        with lock.acquire(timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:  # a run that this process may not write to
+        return False

@@ -16,6 +16,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, Covariance, read_certainties
+from gbspec.runs.locks import held_elsewhere
 from gbspec.runs.profiles import ProfileRecord, read_profile
 from gbspec.runs.record import (
     DAMAGED,
@@ -186,21 +187,25 @@ def open_run(path: str | Path, warnings: Findings | None = None) -> Run:
         help_text = "its training stopped before the first iteration; train again (`--resume` continues)"
         raise UserError([Diagnostic("GB853", message, None, help=help_text)])
     if not fit.finished:
-        run = _unfinished(run)
-        findings.warning("GB865", unfinished(run), None, help=CONTINUE)
+        trained_now = held_elsewhere(directory)
+        run = _unfinished(run, trained_now)
+        findings.warning("GB865", unfinished(run, trained_now), None, help=WAIT if trained_now else CONTINUE)
     if warnings is not None:
         warnings.extend(findings)
     return run
 
 
 CONTINUE = "the command of the training with `--resume` continues it"
+WAIT = "what it will end with is known when that process has ended; `--resume` is not needed"
 
 
-def unfinished(run: Run) -> str:
+def unfinished(run: Run, trained_now: bool) -> str:
     """What can be used of a run that is not finished, in a sentence."""
     listed = ", ".join(map(str, run.numbers))
     planned = run.fit.options.get("members")
     members = f"member{'s' if len(run.numbers) > 1 else ''} {listed} of {planned}"
+    if trained_now:
+        return f"`{run.path}` is being trained by another process: {members} can be used, as far as trained by now"
     return f"the training of `{run.path}` was interrupted: {members} can be used, in the state that they had reached"
 
 
@@ -221,7 +226,7 @@ def _numbers(directory: Path, fit: FitRecord) -> tuple[int, ...]:
     return there if not fit.finished or None in listed or not listed else tuple(n for n in there if n in listed)
 
 
-def _unfinished(run: Run) -> Run:
+def _unfinished(run: Run, trained_now: bool) -> Run:
     """The run with what is known of members whose files are newer than `fit.json`, from their weights files.
 
     Their constants have no intervals, which are known at the end only.
@@ -247,9 +252,10 @@ def _unfinished(run: Run) -> Run:
         name: _mean([s.noise.get(name) for s in summaries.values()])
         for name in (channel.name for channel in run.model.channels)
     }
-    going_on = [
-        f"member {n}: training was interrupted; `--resume` continues it" for n in summaries if not summaries[n].finished
-    ]
+    state = (
+        "is being trained by another process" if trained_now else "training was interrupted; `--resume` continues it"
+    )
+    going_on = [f"member {n}: {state}" for n in summaries if not summaries[n].finished]
     fit = replace(
         run.fit,
         members=tuple(entries),

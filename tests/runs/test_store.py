@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gbspec.diagnostics import UserError
+from gbspec.diagnostics import Findings, UserError
 from gbspec.runs import files, open_run
 from gbspec.training import TrainOptions, train
 from tests import quick
@@ -29,6 +31,32 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(made: Path, tmp_path: Path) -> Path:
     """A copy that a test may damage."""
     return Path(shutil.copytree(made, tmp_path / "run"))
+
+
+def test_a_run_that_another_process_trains_is_not_said_to_be_interrupted(run: Path) -> None:
+    record = json.loads((run / files.FIT).read_text("utf-8"))
+    record["finished"] = False
+    (run / files.FIT).write_text(json.dumps(record), encoding="utf-8")
+
+    def warning() -> tuple[str, str, str]:
+        findings = Findings()
+        opened = open_run(run, findings)
+        (found,) = findings
+        return found.code, found.message, found.help + " ".join(opened.fit.warnings)
+
+    code, message, help = warning()
+    assert (code, "was interrupted" in message, "`--resume` continues" in help) == ("GB865", True, True)
+    holds = "import sys, filelock; a = filelock.FileLock(sys.argv[1]); a.acquire(); print('held', flush=True); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", holds, str(run / files.LOCK)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdin is not None and other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        code, message, help = warning()
+        other.communicate("\n")
+    assert f"`{run}` is being trained by another process: member" in message
+    assert (code, "`--resume` is not needed" in help, "interrupted" in help) == ("GB865", True, False)
+    assert "was interrupted" in warning()[1]
 
 
 def test_opens_with_model_members_and_mean(made: Path) -> None:
