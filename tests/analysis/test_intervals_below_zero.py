@@ -1,14 +1,16 @@
-"""Intervals of quantities that cannot be negative: not cut off, but told of, with what to write instead."""
+"""Predictions beyond what is declared: intervals of what cannot be negative, and states far outside of their ranges."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gbspec.analysis.prediction.forecast import Forecast, forecast
+from gbspec.analysis.prediction.far_outside import said_of_states
+from gbspec.analysis.prediction.forecast import Forecast, forecast, hidden_states
 from gbspec.data import Trajectories
 from gbspec.passes import never_negative
 from gbspec.training import TrainOptions, train
@@ -61,3 +63,25 @@ def test_what_a_model_declares_never_to_be_negative(value: str, never: bool) -> 
         f"observe c\nobserve y = {value}\n"
     )
     assert never_negative(model, model.channels[1].value) == never
+
+
+def test_predicted_states_far_outside_of_their_range_are_told(tmp_path: Path) -> None:
+    """As `train` and `validate` tell them; here the start is declared beyond the range."""
+    far = [text for text in predicted(tmp_path, "observe x", "[0, 5]").warnings if "far outside of its range" in text]
+    (said,) = far
+    assert said.startswith("`x`: ")
+    assert "of 20 values lie far outside of its range [0, 5]: from " in said
+    assert said.endswith("(a longer `--window`) may determine it")
+
+
+def test_states_behind_the_channels_are_looked_at_too() -> None:
+    model = model_of(
+        "model m\nstate a in [0, 9]\nstate b in [0, 9]\nlearn k = 1 > 0\na' = -k*a\nb' = k*a - b\nobserve y = 2*a\n"
+        "observe b\n"
+    )
+    means = np.array([[40.0, 3.0, 20.0], [4.0, 3.0, 2.0]])  # y, b, and a, which no channel names
+    low = 0 * means
+    items = [SimpleNamespace(failure="", mean=means, low=low), SimpleNamespace(failure="no", mean=9 * means, low=low)]
+    (said,) = said_of_states(model, items, hidden_states(model))
+    assert said.startswith("`a`: 1 of 2 values lies far outside of its range [0, 9]: 20.")
+    assert said_of_states(model, items[1:], (0,)) == []

@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 
 from gbspec.analysis.prediction.below_zero import said_of_ends
+from gbspec.analysis.prediction.far_outside import said_of_states
 from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import (
@@ -249,6 +250,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
             *_without_effect(items, window),
             *(said_of_training(run.fit.members) if any("predicted" in item.used for item in items) else ()),
             *said_of_ends(run.model, items, hidden),
+            *said_of_states(run.model, items, hidden),
         ),
     )
     return replace(found, warnings=(*found.warnings, *said_of_coverage(found.errors())))
