@@ -214,7 +214,7 @@ def _refuse_together(model: Model, checked: Checked, findings: Findings) -> None
 def _counted(model: Model, channel: Channel, checked: Checked) -> str:
     """What to observe without events where one empties a count at given times, as that of the cases of a week."""
     emptied = {name: event.name for event in model.events if event.timing is not None for name, _ in event.values}
-    seen = {symbol.name for symbol in channel.value.free_symbols}
+    seen = {one.name for one in channel.value.free_symbols}
     balances = {target_name(s.target).text: s.span for s in checked.all(ast.BalanceStatement)}
     for name in sorted(emptied.keys() & seen & balances.keys()):
         rate = balances[name].text.partition("=")[2].strip()
