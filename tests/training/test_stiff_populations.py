@@ -273,3 +273,51 @@ def test_second_derivatives_of_stiff_steps_need_no_recomputed_graph(
     found = made.slopes(u, weights, z)
     assert np.array_equal(found.weights, known.weights)
     assert np.array_equal(found.parameters, known.parameters)
+
+
+ORAL = """model oral
+time t from 0
+state gut
+state body
+learn ka = 0.7 in [0.05, 100]
+learn CL = 12 in [1, 100] per trajectory ~ lognormal
+learn V = 100 in [20, 500]
+learn a = 0.1 in [1e-3, 1]
+gut' = -ka*gut
+body' = ka*gut - CL/V*body
+initial gut = 0
+initial body = 0
+dose gut
+observe c = body/V noise normal(a)
+"""
+"""Absorption at a rate of 0.7, which is slow, with rows every 25, so that the default step of 5 is long for it."""
+
+
+def oral(folder: Path, ka: float) -> tuple[Model, Trajectories]:
+    """A dose every 6 from a steady state of 20 doses on, absorbed at the rate `ka`."""
+    model, lines = model_of(ORAL, folder), ["trajectory,t,c,dose_gut,ii_gut,ss_gut,addl_gut"]
+    for i in range(4):
+        k, lines = 0.1 + 0.02 * i, [*lines, f"{i},0,,200,6,20,13"]
+        for t in (0.2 + i, 25.2 + i, 50.2 + i, 75.2 + i):
+            since = t % 6 + 6 * np.arange(40)
+            c = 2 * ka / (ka - k) * (np.exp(-k * since) - np.exp(-ka * since)).sum()
+            lines.append(f"{i},{t},{c},,,,")
+    return model, read(folder, model, lines)
+
+
+def test_a_step_that_is_long_for_a_slow_rate_is_no_stiffness(tmp_path: Path) -> None:
+    """The stiff solver took over ten times the steps, in each of which it has a matrix."""
+    model, data = oral(tmp_path, 0.7)
+    steps, options = {}, TrainOptions()
+    assert chosen_solver(model, load_module(model, METHODS["rk4"]), data, options) == ("rk4", None)
+    for solver in ("rk4", "ros34pw2"):
+        ready = prepared(model, load_module(model, METHODS[solver]), data, options, 0)
+        steps[solver] = ready.context.engine(ready.parameters, 0.0).plan(ready.theta).packed.substeps
+    assert 5 * steps["rk4"] < steps["ros34pw2"]
+
+
+def test_data_that_need_rates_beyond_a_smaller_step_get_the_stiff_solver(tmp_path: Path) -> None:
+    model, data = oral(tmp_path, 20.0)
+    solver, reason = chosen_solver(model, load_module(model, METHODS["rk4"]), data, TrainOptions())
+    assert solver == "ros34pw2"
+    assert "drawn from the ranges" in (reason or "")

@@ -4,7 +4,7 @@ Equations are stiff for a step where their fastest decay is beyond the step's li
 before the first fit, at the measured states (curves through the data) with the constants of gradient matching: known
 parts of the equations show it, the slope of an unknown function does not. Where all forms are known, and the explicit
 solver fails at many constants within their ranges, the draws of the search are compared by both solvers. Populations
-with networks take smaller explicit steps where these are stable.
+take smaller explicit steps where these are stable and not too many.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ UNSOLVED, BETTER, MOST = 0.2, 0.9, 0.5
 the explicit one; their best loss must be below `BETTER` times the best one there, or more than the share `MOST` of
 all draws must be solved by the stiff one alone."""
 REFINED = 16.0
-"""Up to so many times the limit a population with networks takes smaller explicit steps: the second derivatives that
-its likelihood needs take far longer with the stiff solver."""
+"""Up to so many times the limit a population takes smaller explicit steps: a step that is merely long for a decay does
+not make equations stiff, and the derivatives that its likelihood needs take far longer with the stiff solver."""
 LOOKED_AT = 8
 """Most trajectories that are looked at."""
 MOST_ROWS = 2000
@@ -84,13 +84,13 @@ def chosen_solver(
     parameters, theta = initial(context)
     rates = decays(context, parameters, theta)
     fast = _usual(rates)
-    if not step * fast > LIMIT:
+    refined = _refined(model, options)
+    if step * fast <= (REFINED if refined else 1.0) * LIMIT:
         # No solution from a start follows a disturbed one.
         drawn = model.complete and not (model.diffusions or model.algebraics)
-        reason = _by_draws(model, module, some, options, theta) if drawn else None
+        tried = replace(options, max_step=_stable(step * fast) * step) if refined else options
+        reason = _by_draws(model, module, some, tried, theta) if drawn else None
         return (solver_of(options), None) if reason is None else (STIFF.name, reason)
-    if _refined(model, options) and step * fast <= REFINED * LIMIT:
-        return solver_of(options), None
     reason = (
         f"the equations are stiff: at the data they have rates of {fast:.3g}, which times the step of {step:.3g} is "
         f"{step * fast:.3g}, and an explicit method is stable up to {LIMIT}"
@@ -101,14 +101,13 @@ def chosen_solver(
 def _refined(model: Model, options: TrainOptions) -> bool:
     """Whether the explicit step is adapted to the rates at the data: see `REFINED`."""
     chosen = options.max_step is None and options.tolerance is None
-    return chosen and bool(model.distributed and model.networks)
+    return chosen and bool(model.distributed)
 
 
 def prepared(
     model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
 ) -> Prepared:
-    """A member before its first stage, as from `prepare`; of a population with networks at a step that is stable at the
-    data."""
+    """A member before its first stage, as from `prepare`; of a population at a step that is stable at the data."""
     found = prepare(model, module, trajectories, options, seed)
     fraction = _stable_fraction(found.context, found.parameters, found.theta)
     return found if fraction == 1.0 else at_step(found, fraction)
@@ -126,7 +125,12 @@ def _stable_fraction(context: Context, parameters: Parameters, theta: Array) -> 
     if not _refined(context.model, context.options) or context.adaptive or not _may_be_stiff(context.model):
         return 1.0
     rates = decays(context, parameters, theta)
-    product = context.max_step * _usual(rates)
+    return _stable(context.max_step * _usual(rates))
+
+
+def _stable(product: float) -> float:
+    """The fraction of a step that is stable where the step times the rate is `product`; 1 where it is stable itself, or
+    where the fraction would be too small."""
     return 0.5 ** int(np.ceil(np.log2(product / (NEAR * LIMIT)))) if LIMIT < product <= REFINED * LIMIT else 1.0
 
 
