@@ -276,7 +276,7 @@ class _Runner:
                 stage.total,
                 outcome.loss,
                 position.seconds,
-                self._seconds_left(stage, stage_seconds),
+                self._seconds_left(stage),
                 dict(zip(names, constants, strict=True)),
                 outcome.remark,
             )
@@ -311,10 +311,10 @@ class _Runner:
     def _shared_names(self) -> list[str]:
         return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
 
-    def _seconds_left(self, stage: Stage, stage_seconds: float) -> float | None:
+    def _seconds_left(self, stage: Stage) -> float | None:
         position, totals = self.position, {planned.name.value: planned.total for planned in self.plan}
-        later = sum(p.total for p in self.plan[position.stage + 1 :] if p.name not in MAYBE)
-        return seconds_left(position.stages[:-1], totals, stage_seconds, position.iteration, stage.total, later)
+        later = [p.name.value for p in self.plan[position.stage + 1 :] if p.name not in MAYBE]
+        return seconds_left(position.stages[:-1], position.stages[-1], totals | {stage.name: stage.total}, later)
 
     # ---------------------------------------------------------------- files
     def _result(self) -> MemberResult:
