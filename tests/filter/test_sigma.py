@@ -79,3 +79,34 @@ def test_where_a_function_has_no_value_points_move_to_the_mean(tmp_path: Path) -
         step = h * np.eye(len(vector))[place]
         change = (engine.value(vector + step) - engine.value(vector - step)) / (2 * h)
         assert information.gradient[place] == pytest.approx(change, rel=1e-4, abs=1e-4)
+
+
+class Counted(np.ndarray):
+    """An array that counts the small products of which it is the left side."""
+
+    products = 0
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Array, **options: object) -> Array:
+        plain = [np.asarray(each) for each in inputs]
+        found = np.asarray(getattr(ufunc, method)(*plain, **options))
+        if ufunc is np.matmul:
+            Counted.products += int(np.prod(found.shape[:-2]))
+        return found
+
+
+@pytest.mark.parametrize(("count", "p"), [(5, 40), (0, 40), (5, 0)])
+def test_slopes_are_multiplied_by_a_matrix_all_at_once(count: int, p: int) -> None:
+    """One product for each matrix, not for each of its derivatives; tables that do not lie in a row are multiplied as
+    they are."""
+    random = np.random.default_rng(2)
+    slopes, right = random.standard_normal((count, p, 3, 2)), random.standard_normal((count, 2, 4))
+    value = random.standard_normal((count, 3, 2))
+    Counted.products = 0
+    found = (Varied(value, slopes.view(Counted)) @ Varied(right)).slopes
+    assert found is not None
+    assert Counted.products == count
+    assert found.shape == (count, p, 3, 4)
+    np.testing.assert_allclose(found, np.einsum("bpij,bjk->bpik", slopes, right), atol=1e-14)
+    turned = np.ascontiguousarray(slopes.swapaxes(1, 3)).swapaxes(1, 3)
+    again = (Varied(value, turned) @ Varied(right)).slopes
+    np.testing.assert_allclose(again, found, atol=1e-14)

@@ -48,7 +48,7 @@ class Varied:
             return Varied(_product(self.value, other), None if self.slopes is None else _product(self.slopes, other))
         value, slopes = self.value @ other.value, None
         if self.slopes is not None:
-            slopes = self.slopes @ other.value[:, None]
+            slopes = each_times(self.slopes, other.value)
         if other.slopes is not None:
             more = self.value[:, None] @ other.slopes
             slopes = more if slopes is None else slopes + more
@@ -107,13 +107,22 @@ class Varied:
             value[:] = np.nan
             good = np.isfinite(self.value).all(axis=(1, 2)) & (np.abs(np.linalg.det(self.value)) > 0)
             value[good] = np.linalg.inv(self.value[good])
-        slopes = None if self.slopes is None else -(value[:, None] @ self.slopes @ value[:, None])
+        slopes = None if self.slopes is None else -each_times(value[:, None] @ self.slopes, value)
         return Varied(value, slopes)
 
 
 def _product(left: Array, right: Array) -> Array:
     """Matrices [..., i, j] times one matrix [j, k], as one product, which is faster than many small ones."""
     return (left.reshape(-1, left.shape[-1]) @ right).reshape(*left.shape[:-1], -1)
+
+
+def each_times(left: Array, right: Array) -> Array:
+    """Matrices [B, p, i, j] times [B, j, k], as one product for each of B where they lie in a row: much faster than p
+    small ones."""
+    if not left.flags.c_contiguous:
+        return np.asarray(left @ right[:, None])
+    count, p, i, j = left.shape
+    return np.asarray(left.reshape(count, p * i, j) @ right).reshape(count, p, i, right.shape[-1])
 
 
 def root(p: Varied, least: Array) -> Varied:
@@ -128,8 +137,8 @@ def root(p: Varied, least: Array) -> Varied:
             lower[:, j + 1 :, j] = rest[:, 1:] / pivot[:, None]
         if p.slopes is None:
             return Varied(lower)
-        inverse = Varied(lower).inverse.value[:, None]
-        inner = inverse @ p.slopes @ inverse.swapaxes(-1, -2)
+        inverse = Varied(lower).inverse.value
+        inner = each_times(inverse[:, None] @ p.slopes, inverse.swapaxes(-1, -2))
         half = np.tril(inner) - 0.5 * inner * np.eye(n)
         return Varied(lower, lower[:, None] @ half)
 
