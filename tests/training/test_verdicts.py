@@ -8,14 +8,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.analysis import forecast
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.runs import ChannelRecord, LikelihoodRecord, NoiseRecord, StageRecord, WhitenessRecord, how_followed
+from gbspec.runs import (
+    ChannelRecord,
+    DataRecord,
+    FitRecord,
+    LikelihoodRecord,
+    NoiseRecord,
+    StageRecord,
+    WhitenessRecord,
+    how_followed,
+)
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
 from gbspec.training.profile.likelihood import profile_constant
-from gbspec.training.runs.fit import warnings_of
+from gbspec.training.runs.fit import completed, warnings_of
 from gbspec.training.runs.summary import MemberResult, _r2
 from gbspec.training.runs.verdict import (
     above_stated,
@@ -291,6 +301,55 @@ def test_a_fit_without_intervals_says_that_its_residuals_are_no_noise(
     found = warnings_of({0: fitted(sd, r2, *stages)}, TrainOptions(members=1))
     assert len(found) == bool(said)
     assert all(said in text and "autocorrelated" in text for text in found)
+
+
+EACH = """model each
+state x in [0, 2]
+learn k = 0.5 in [0.1, 3] per trajectory
+x' = -k*x
+initial x = 1
+observe x
+"""
+
+
+@pytest.mark.parametrize(
+    ("own_sd", "said"),
+    [
+        ((0.1, 0.2), ""),
+        ((0.1, np.nan), "`k` has no interval in 1 of 2 trajectories (`b`): the fit has not come to rest there"),
+        ((np.nan, np.nan), "constants and functions have no intervals: the fit has not come to rest"),
+    ],
+)
+def test_constants_of_trajectories_have_intervals_of_their_own(own_sd: tuple[float, float], said: str) -> None:
+    """Where trajectories share no constant, none can lack the standard deviation of a shared one."""
+    known = replace(
+        fitted(np.nan, 0.9, StageRecord("least squares", 1, 0.1, 1.0)),
+        channels={"x": ChannelRecord(0.9, 0.0)},
+        labels=["a", "b"],
+        noise={"x": 0.1},
+        own=np.ones((2, 1)),
+        own_sd=np.array(own_sd)[:, None],
+    )
+    model, options = model_of(EACH), TrainOptions(members=1)
+    record = FitRecord("0", "m", DataRecord("", "", 2, 4, 4), {}, {}, {}, {}, (), ())
+    found = [text for text in completed(record, model, {0: known}, options).warnings if "interval" in text]
+    assert len(found) == bool(said)
+    assert all(said in text for text in found)
+
+
+def test_nothing_shared_is_not_missed_in_predictions(tmp_path: Path) -> None:
+    times = np.linspace(0.0, 2.0, 9)
+    noise = 0.02 * np.random.default_rng(4).standard_normal((2, 9))
+    each = [
+        trajectory(f"{k}", 0.0, times, (np.exp(-k * times) + e)[:, None], [])
+        for k, e in zip((1, 2), noise, strict=True)
+    ]
+    run = train(model_of(EACH), Trajectories(tuple(each), ("x",)), TrainOptions(effort="low"), tmp_path / "run")
+    assert not [text for text in run.fit.warnings if "interval" in text]
+    new = Trajectories((trajectory("new", 0.0, times, np.exp(-1.5 * times)[:, None], []),), ("x",))
+    found = forecast(run, new)
+    assert found.items[0].start.origin == "estimated"
+    assert not [text for text in found.warnings if "too narrow" in text]
 
 
 @pytest.mark.parametrize(

@@ -268,7 +268,10 @@ def said_of_coverage(errors: Mapping[str, Errors]) -> list[str]:
 
 
 def _narrow(model: Model) -> str:
-    """What intervals lack where there is neither a covariance nor a spread of members."""
+    """What intervals lack where there is neither a covariance nor a spread of members: nothing where trajectories have
+    no learned thing in common."""
+    if not model.networks and not model.marginal and all(k.per_trajectory for k in model.learnables):
+        return ""
     if model.marginal:  # members would start elsewhere and end at the same maximum of the likelihood
         return (
             "the intervals contain the noise and the uncertainty of what trajectories have of their own, but not that "

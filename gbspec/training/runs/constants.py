@@ -213,19 +213,38 @@ def unsettled(
     ended: Sequence[tuple[int, str, float]],
     results: Mapping[int, MemberResult],
 ) -> list[str]:
-    """A warning for constants that alone of all have no interval, and for no reason that is told elsewhere."""
+    """Warnings of constants that alone of all have no interval, and for no reason that is told elsewhere: shared ones,
+    and those of single trajectories."""
+    own = _unsettled_own(constants)
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
     told = " ".join(text for result in results.values() for text in result.left if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
     found = [n for n, one in shared.items() if one.sd is None and n not in at_ends and f"`{n}`" not in told]
     if not found or all(record.sd is None for record in shared.values()):
-        return []
+        return own
     names, verb = ", ".join(f"`{name}`" for name in found), "has" if len(found) == 1 else "have"
     return [
         f"{names} {verb} no interval: the fit has not come to rest there (a next step would be longer than the "
         "standard deviation), as where the data hardly show a constant, or a function takes its place. `--effort high` "
-        "goes on; a prior, a contract or a value (`const`) says what the data do not"
+        "goes on; a prior, a contract or a value (`const`) says what the data do not",
+        *own,
     ]
+
+
+def _unsettled_own(constants: Mapping[str, ConstantRecord]) -> list[str]:
+    """A warning for each constant per trajectory that has an interval in some trajectories alone."""
+    out = []
+    for name, record in constants.items():
+        each = record.per_trajectory or {}
+        without = [label for label, one in each.items() if one.sd is None]
+        if without and len(without) < len(each):
+            listed = ", ".join(f"`{label}`" for label in without[:5]) + (", ..." if len(without) > 5 else "")
+            out.append(
+                f"`{name}` has no interval in {len(without)} of {len(each)} trajectories ({listed}): the fit has not "
+                "come to rest there (a next step would be longer than the standard deviation), as where a value lies "
+                "at a bound or the rows hardly show it. A prior helps, or one value for all trajectories"
+            )
+    return out
 
 
 def ended_at_bounds(

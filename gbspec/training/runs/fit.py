@@ -430,7 +430,10 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     far = verdict.outlying(result.channels, model, result.rmse)
     if result.likelihood is not None:
         return [*far, *verdict.innovations(result.channels or {}, result.likelihood)]
-    if not result.sd or any(np.isfinite(sd) for sd in result.sd.values()):
+    own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
+    shared = [sd for name, sd in result.sd.items() if name not in own]
+    deviations = np.array(shared) if shared else result.own_sd
+    if not deviations.size or np.isfinite(deviations).any():
         return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []
