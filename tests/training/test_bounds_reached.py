@@ -27,7 +27,7 @@ observe x
 
 def member(channel: ChannelRecord, k: float) -> MemberResult:
     """What is asked of a member here."""
-    found = SimpleNamespace(left=[], vanished=frozenset(), channels={"x": channel}, constants={"k": k})
+    found = SimpleNamespace(left=[], notes=[], vanished=frozenset(), channels={"x": channel}, constants={"k": k})
     return cast(MemberResult, found)
 
 
@@ -43,6 +43,8 @@ def test_what_ended_at_a_bound(tmp_path: Path, k: float, wanted: list[tuple[str,
         ("in [0.005, 5] = 0.2", 4.9996, 0.0028, [("k", 5.0)]),
         ("in [10, 90] = 60", 10.334, 4.0, [("k", 10.0)]),
         ("in [10, 90] = 60", 14.0, 4.0, []),
+        ("in [0.01, 50] = 3", 0.01002, 46.0, [("k", 0.01)]),
+        ("in [0.01, 50] = 3", 0.012, 46.0, []),
         ("in [0, 1] = 0.5", 0.75, 4.8, []),
         ("> 0 = 0.5", 0.01, 0.4, []),
         ("in [10, 90] = 60", 10.334, float("nan"), []),
@@ -206,3 +208,38 @@ def test_a_constant_that_alone_has_no_interval_is_told() -> None:
     assert text.startswith("`b` has no interval: the fit has not come to rest there")
     assert not unsettled(known, [(0, "b", 0.0)], {})
     assert not unsettled({"b": known["b"]}, [], {})
+
+
+def test_a_bound_is_told_where_the_likelihood_of_a_population_ended_at_it(tmp_path: Path) -> None:
+    """Noise in proportion to the value: the constant part stops on its way to the bound, where nothing changes any
+    more, and its linearised deviation there is thousands of times the value."""
+    text = TEXT.replace("observe x", "learn a = 0.3 in [1e-4, 5]\nlearn b = 0.1 in [0.001, 1]\nobserve x noise ")
+    (tmp_path / "m.gb").write_text(text.rstrip() + " normal(sqrt(a^2 + (b*y)^2))\n")
+    random, t = np.random.default_rng(2), np.arange(0.1, 3.0, 0.1)
+    x = np.exp(-t) * (1 + 0.05 * random.standard_normal(len(t)))
+    (tmp_path / "d.csv").write_text("t,x\n" + "".join(f"{a},{b}\n" for a, b in zip(t, x, strict=True)))
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    assert fit.constants["a"].interval is None
+    assert any("`a` ended at" in text and "its bound 0.0001" in text for text in fit.warnings)
+    assert not any("not determined" in text for text in fit.warnings)
+    sd = fit.constants["b"].sd
+    assert sd is not None, "that with `a` at its bound"
+    assert sd == pytest.approx(fit.constants["b"].value / (2 * len(t)) ** 0.5, rel=0.02)
+
+
+def test_a_disturbance_is_tied_to_the_rate_at_its_bound_and_the_mean_is_not(tmp_path: Path) -> None:
+    """Of values without memory the likelihood tells the mean, and s^2/theta."""
+    text = "model m\nstate X in [-5, 5] = 0\nlearn theta = 1 in [0.01, 10]\nlearn mu = 0.5 in [-5, 5]\n"
+    text += "learn s = 0.5 in [0, 20]\nX' = theta*(mu - X)\ndiffusion X = s\nobserve X noise normal(0.01)\n"
+    (tmp_path / "m.gb").write_text(text)
+    x = 1 + 0.5 * np.random.default_rng(1).standard_normal(40)
+    x[1::2] -= 0.3  # less than no memory
+    (tmp_path / "d.csv").write_text("t,X\n" + "".join(f"{t},{value}\n" for t, value in enumerate(x)))
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    assert fit.constants["theta"].interval is None
+    low, high = fit.constants["mu"].interval or (np.nan, np.nan)
+    assert high - low == pytest.approx(2 * 1.645 * x.std(ddof=1) / 40**0.5, rel=0.05)
+    assert fit.constants["s"].interval is None
+    (said,) = [text for text in fit.warnings if "`s`" in text]
+    assert "the data tie its value to `theta`" in said
+    assert not any("not determined" in text for text in fit.warnings)

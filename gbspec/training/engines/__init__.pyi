@@ -10,6 +10,7 @@ from .device import device_of as device_of
 from .engine import Engine as Engine
 from .engine import Moments as Moments
 from .engine import taken as taken
+from .filter import GONE as GONE
 from .filter import Filtered as Filtered
 from .filter import FilterEngine as FilterEngine
 from .filter import Guess as Guess

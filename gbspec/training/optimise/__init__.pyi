@@ -5,6 +5,7 @@ from .curvature import covariance as covariance
 from .curvature import lack_of_fit as lack_of_fit
 from .curvature import log_evidence as log_evidence
 from .curvature import loosened as loosened
+from .held import tied_at_bounds as tied_at_bounds
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import Certainty as Certainty

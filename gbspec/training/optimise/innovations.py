@@ -19,6 +19,7 @@ from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Filtered, FilterEngine, Guess
+from gbspec.training.optimise.held import tied_at_bounds
 from gbspec.training.optimise.levenberg_marquardt import Certainty
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
@@ -368,18 +369,30 @@ class InnovationsFit:
 
     def certainty(self, state: State) -> Certainty:
         """Standard deviations and correlations of constants from the inverse of the information; unknown (NaN) for a
-        constant on which the data say nothing, such as a diffusion that has gone to zero."""
+        constant on which the data say nothing, such as a diffusion that has gone to zero. What ended at a bound is held
+        there: it keeps the deviation by which that is seen, and no other depends on it."""
         engine, parameters = self.engine, self.engine.parameters
         vector = np.concatenate([state["theta"], state["log_sd"]])
         system = self._system(vector, scalar(state, "ridge"))
         if not system.found.finite:
             return Certainty.unknown(parameters)
         covariance = inverse(system.matrix, engine.layout.free, ROUNDING)
+        ended = engine.ended(vector, _roots(covariance))
+        gone, held = (
+            np.flatnonzero(ended[parameters.size :]) + parameters.size,
+            np.flatnonzero(ended[: parameters.size]),
+        )
+        free = _roots(self._held(system, gone))
+        covariance = self._held(system, np.concatenate([held, gone]))
+        maps, n = parameters.bijections(parameters.shared), parameters.n_weights
+        widths = maps.lengths(vector[n : parameters.n_shared])[held - n]
+        tied = tied_at_bounds(system.matrix, system.gradient, covariance, free, held, widths)
+        covariance[held, held] = free[held] ** 2
         known = np.diag(system.matrix) > 10 * FLAT
         theta = state["theta"]
         places = np.arange(parameters.n_weights, parameters.n_shared)
         slopes = parameters.bijections(parameters.shared).derivative(theta[places])
-        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        sd = _roots(covariance)
         block = covariance[np.ix_(places, places)]
         roots = np.maximum(sd[places], 1e-300) * np.where(slopes < 0, -1.0, 1.0)
         own = np.zeros((parameters.trajectories, len(parameters.own)))
@@ -391,7 +404,18 @@ class InnovationsFit:
             own = np.where(known[at], own_slopes * sd[at], np.nan)
         freedom = float(np.sum(known & (engine.layout.free > 0)))
         deviations = np.where(known[places], np.abs(slopes) * sd[places], np.nan)
-        return Certainty(deviations, block / np.outer(roots, roots), freedom, own)
+        correlations = block / np.outer(roots, roots)
+        return Certainty(deviations, correlations, freedom, own, tied[places] if len(held) else np.zeros(0))
+
+    def _held(self, system: _System, entries: Integers) -> Array:
+        """The inverse of a matrix with these entries held."""
+        moving = self.engine.layout.free.copy()
+        moving[entries] = 0.0
+        return inverse(system.matrix, moving, ROUNDING)
+
+
+def _roots(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
 
 
 def _prefixed(state: State) -> State:

@@ -178,13 +178,16 @@ class Certainty:
     """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and the degrees of
     freedom that the fit used, with priors and ridge taken into account; NaN, and no correlations, if not known.
 
-    `own` [N, j] are the standard deviations of the constants per trajectory.
+    `own` [N, j] are the standard deviations of the constants per trajectory. `loosened` [k], where constants ended at
+    bounds: how many times as large the deviations of those tied to them would be with these free (1 for others, NaN for
+    these); else empty.
     """
 
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     freedom: float = float("nan")
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    loosened: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Raises ValueError if the arrays do not fit each other, as those of a damaged file."""

@@ -16,6 +16,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.runs import Covariance
+from gbspec.training.optimise import tied_at_bounds
 from gbspec.training.population import student
 from gbspec.training.population.discrepancies import prediction_errors
 from gbspec.training.population.groups import Groups, alike
@@ -60,7 +61,9 @@ class PopulationResult:
     spreads, those of levels last, and their `shrinkage` [width]; `table` [m, ...] by name: the population's and the
     trajectory's own predictions, and residuals. `used` is the number of parameters, of weights the effective one.
     `exact` is -2 log L by Laplace's method with the exact inner Hessian, NaN where that is not positive definite.
-    `shared` is the covariance of weights and constants; None where it is not known.
+    `shared` is the covariance of weights and constants; None where it is not known. `loosened`, where parameters ended
+    at bounds: how many times as large the standard deviations of those that the data tie to them would be with these
+    free (1 for others, NaN for these).
     """
 
     point: Point
@@ -76,14 +79,14 @@ class PopulationResult:
     used: float
     exact: float
     shared: Covariance | None
+    loosened: dict[str, float]
 
 
 def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: float) -> PopulationResult:
     """Everything at a point, whose modes are found from `z`."""
     point = objective.at(weights, u, z, ridge, afresh=True)
     layout, likelihood = objective.layout, objective.marginal.likelihood
-    curvature = objective.curvature(point, ridge) / 2
-    covariance = inverse(curvature)
+    covariance, estimates, tied = _with_bounds_held(objective, point, ridge)
     natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     modes = torch.from_numpy(point.z)
     of = likelihood.at(natural, modes, weights)
@@ -102,7 +105,7 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
     return PopulationResult(
         point,
         ridge,
-        _estimates(layout, point.u, covariance[count:, count:]),
+        estimates,
         correlation,
         constants.numpy()[:, layout.place],
         spread,
@@ -113,7 +116,34 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         used + len(point.u),
         objective.marginal.by_exact_hessian(point.u, weights, point.z),
         of_shared(layout, point.u, covariance, ridge),
+        tied,
     )
+
+
+def _with_bounds_held(objective: Objective, point: Point, ridge: float) -> tuple[Array, Estimates, dict[str, float]]:
+    """The covariance [W + P, W + P] of (w, u), the estimates, and `loosened` of a result.
+
+    Parameters that ended at a bound are held there: the others have the covariance of a fit without them, they
+    themselves keep the standard deviation by which that was seen, and have none (NaN) in the covariance.
+    """
+    layout, u, count = objective.layout, point.u, len(point.weights)
+    curvature = objective.curvature(point, ridge) / 2
+    free = inverse(curvature)
+    with np.errstate(invalid="ignore"):
+        held = count + np.flatnonzero(layout.bijections.ended(u, np.sqrt(np.diag(free)[count:])))
+    rest = curvature.copy()
+    rest[held], rest[:, held] = 0.0, 0.0
+    covariance = inverse(rest)
+    factors = np.zeros(0)
+    if len(held):
+        slopes, clean = objective.gradient(point, ridge) / 2, np.nan_to_num(covariance)
+        most = layout.bijections.lengths(u)[held - count]
+        factors = tied_at_bounds(curvature, slopes, clean, np.sqrt(np.diag(free)), held, most)[count:]
+    whole = covariance.copy()
+    whole[held], whole[:, held] = 0.0, 0.0
+    whole[held, held] = np.diag(free)[held]
+    tied = dict(zip(layout.names, factors.tolist(), strict=False))
+    return covariance, _estimates(layout, u, whole[count:, count:]), tied
 
 
 def effective_weights(covariance: Array, ridge: float) -> float:

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.ir import Learnable, Range
 
 STRETCH = 3.0
@@ -35,6 +35,16 @@ ROUNDING = 1e-16
 final values may have been rounded to their bound."""
 LEAST = 1e-30
 """The same with a single bound, as a fraction of the starting value."""
+NEAR, CLEAR = 1e-5, 5.0
+"""A constant closer to a bound than the fraction `NEAR` of its range is at the bound, unless it is `CLEAR` standard
+deviations away from it."""
+BESIDE, NARROW = 1 / 3, 0.1
+"""So is one that is closer to it than `BESIDE` of its standard deviation, where that is below `NARROW` of the bounds'
+width (a larger one is that of a constant which the data do not show). The scale of training ends at a bound: its slope
+tells nothing of the ends of an interval that are several times as far off as the bound."""
+CLOSE = 1e-3
+"""Closer to a bound than this fraction of its range, a constant is there with any larger standard deviation too: that
+is of the end of the scale, where nothing changes any more, and fits stop on the way."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +96,26 @@ class Bijection:
             inside = np.array(value)
             return float(self._fraction(inside) if bound == self.low else self._rest(inside))
         return abs(value - bound) / (abs(self.start - bound) or self.scale)
+
+    def share(self, value: float, sd: float | None) -> float:
+        """A standard deviation as a part of the width of two bounds, on their scale; NaN if it is not known."""
+        if sd is None or not self.two_sided:
+            return math.nan
+        natural = abs(value) if self.logarithmic else 1.0
+        return sd / natural / abs(self.width) if natural else math.nan
+
+    def ended_at(self, value: float, sd: float = math.nan) -> float | None:
+        """The bound that stopped a constant with this value and standard deviation (see `NEAR`, `BESIDE`, `CLOSE`);
+        None if neither did.
+
+        With a single bound, the distance of the starting value from it is used as the width.
+        """
+        for bound in (self.low, self.high) if self.low < self.high else ():
+            distance, width = self.distance(value, bound), self.share(value, sd)
+            near = distance < NEAR and not abs(value - bound) > CLEAR * sd
+            if near or (distance < BESIDE * width and (width < NARROW or distance < CLOSE)):
+                return bound
+        return None
 
     def inside(self, value: float, share: float) -> float:
         """The value, or what lies within the bounds by this share of the range on its scale (with a single bound: of
@@ -215,6 +245,19 @@ class Bijections:
             return np.zeros_like(u)
         (slope,) = torch.autograd.grad(self.to_natural(x).sum(), x)
         return np.asarray(slope.numpy(), dtype=np.float64)
+
+    def ended(self, u: Array, deviations: Array) -> Mask:
+        """Which constants [n] with these trainable values, and standard deviations of them, ended at a bound."""
+        values = self.to_natural(torch.from_numpy(u)).numpy()
+        sd = np.abs(self.derivative(u)) * deviations
+        each = zip(self.each, values.tolist(), sd.tolist(), strict=True)
+        return np.array([one.ended_at(value, size) is not None for one, value, size in each], dtype=np.bool_)
+
+    def lengths(self, u: Array) -> Array:
+        """The widths [n] between two bounds in units of trainable values, by the slopes at these values; infinite with
+        fewer bounds."""
+        width = np.array([one.high - one.low for one in self.each])
+        return np.asarray(width / np.maximum(np.abs(self.derivative(u)), 1e-300), dtype=np.float64)
 
     def from_natural(self, value: Array) -> Array:
         """Trainable values of natural ones [..., n]; values on or beyond a bound are moved inside."""

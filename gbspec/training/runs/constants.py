@@ -14,7 +14,7 @@ from gbspec.arrays import Array
 from gbspec.files import finite
 from gbspec.ir import Learnable, Model
 from gbspec.runs import ConstantRecord, OwnRecord
-from gbspec.training.problem import Bijection, Bijections
+from gbspec.training.problem import NARROW, Bijection, Bijections
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import lost
 
@@ -24,13 +24,6 @@ QUANTILE = 1.645
 """Half the width of a normal distribution's 90 % interval, in standard deviations."""
 NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
-NEAR, CLEAR = 1e-5, 5.0
-"""A constant closer to a bound than the fraction `NEAR` of its range is at the bound, unless it is `CLEAR` standard
-deviations away from it."""
-BESIDE, NARROW = 1 / 3, 0.1
-"""So is one that is closer to it than `BESIDE` of its standard deviation, where that is below `NARROW` of the bounds'
-width (a larger one is that of a constant which the data do not show). The scale of training ends at a bound: its slope
-tells nothing of the ends of an interval that are several times as far off as the bound."""
 COVERED = 0.9
 """An interval that covers this fraction of the bounds says no more than they do."""
 EXACT = 1e-20
@@ -128,35 +121,14 @@ def moving_together(
 def at_bounds(
     model: Model, constants: Mapping[str, float], sd: Mapping[str, float] | None = None
 ) -> list[tuple[str, float]]:
-    """Learnable constants that ended at a bound, and the bound: closer to it than 1e-5 of the range's width.
-
-    Where bounds are so far apart that training uses their logarithms, so does this. With a single bound, the distance
-    of the starting value from it is used as the width. A constant that lies several of its standard deviations `sd`
-    away from the bound is not at the bound, however wide the range; between two bounds one that lies much closer to it
-    than its standard deviation is.
-    """
-    out = []
-    for learnable in model.learnables:
-        low, high = learnable.range.low, learnable.range.high
-        if learnable.name not in constants or high <= low:
-            continue
-        value, scale = constants[learnable.name], Bijection.of(learnable)
-        deviation = (sd or {}).get(learnable.name, float("nan"))
-        width = _of_width(learnable, value, deviation)
-        for bound in (low, high):
-            near = scale.distance(value, bound) < NEAR and not abs(value - bound) > CLEAR * deviation
-            if near or (width < NARROW and scale.distance(value, bound) < BESIDE * width):
-                out.append((learnable.name, bound))
-    return out
-
-
-def _of_width(learnable: Learnable, value: float, sd: float | None) -> float:
-    """A standard deviation as a part of the width of two bounds, on the scale of training; NaN if it is not known."""
-    scale = Bijection.of(learnable)
-    if sd is None or not scale.two_sided:
-        return math.nan
-    natural = abs(value) if scale.logarithmic else 1.0
-    return sd / natural / abs(scale.width) if natural else math.nan
+    """Learnable constants that ended at a bound, and the bound, by their standard deviations `sd` where these are
+    known."""
+    found = (
+        (k.name, Bijection.of(k).ended_at(constants[k.name], (sd or {}).get(k.name, math.nan)))
+        for k in model.learnables
+        if k.name in constants
+    )
+    return [(name, bound) for name, bound in found if bound is not None]
 
 
 def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
@@ -172,7 +144,7 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
         if abs(high - low) < COVERED * abs(most - least):
             continue
         near = min((bounds.low, bounds.high), key=lambda bound: abs(record.value - bound))
-        narrow = _of_width(learnable, record.value, record.sd) < NARROW
+        narrow = Bijection.of(learnable).share(record.value, record.sd) < NARROW
         if narrow and abs(record.value - near) < 3 * (record.sd or 0.0):
             out.append(
                 f"`{learnable.name}` lies at its bound {near:g}, within its standard deviation of {record.sd:.2g}; its "
@@ -217,7 +189,7 @@ def unsettled(
     and those of single trajectories."""
     own = _unsettled_own(constants)
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
-    told = " ".join(text for result in results.values() for text in result.left if "no interval" in text)
+    told = " ".join(text for one in results.values() for text in (*one.left, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
     found = [n for n, one in shared.items() if one.sd is None and n not in at_ends and f"`{n}`" not in told]
     if not found or all(record.sd is None for record in shared.values()):

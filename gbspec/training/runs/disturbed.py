@@ -20,7 +20,7 @@ from gbspec.runs import (
     StageRecord,
     WhitenessRecord,
 )
-from gbspec.training.engines import Filtered, FilterEngine, whiteness
+from gbspec.training.engines import GONE, Filtered, FilterEngine, whiteness
 from gbspec.training.problem import Parameters, autocorrelation_of, in_time
 from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
@@ -28,8 +28,6 @@ from gbspec.training.runs import summary
 from gbspec.training.runs.constants import QUANTILE
 from gbspec.training.runs.summary import MemberResult
 
-UNKNOWN = 3.0
-"""A noise whose logarithm has a larger standard deviation has gone to zero, and has no interval."""
 OBJECTIVE = "likelihood of innovations (Kalman filter)"
 
 
@@ -143,7 +141,7 @@ def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> Likelih
     _, log_sd = engine.layout.split(vector)
     for place, channel in enumerate(engine.noise.learned):
         value, sd = float(np.exp(log_sd[place])), finite(float(deviations[engine.parameters.size + place]))
-        known = sd is not None and sd < UNKNOWN
+        known = sd is not None and sd < GONE
         interval = (value * np.exp(-QUANTILE * (sd or 0)), value * np.exp(QUANTILE * (sd or 0))) if known else None
         noise[model.channels[channel].name] = NoiseRecord(value, sd, interval)
     return LikelihoodRecord(

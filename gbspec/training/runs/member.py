@@ -43,7 +43,7 @@ from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import PATIENCE, uninterrupted
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import without_tied
+from gbspec.training.runs.tied import without_loosened, without_tied
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
 
@@ -242,7 +242,8 @@ class _Runner:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
         position = self.position
         if isinstance(stage, InnovationsFit):
-            position.certainty = stage.certainty(position.state)
+            position.certainty, said = without_loosened(stage.certainty(position.state), self.parameters)
+            position.notes += said
         elif isinstance(stage, LevenbergMarquardt):
             # For a stage that may end while the loss still falls by a few percent the curvature is not meaningful.
             known = stage.options.tolerance <= TIGHT

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,7 @@ from gbspec.training.population import Objective, PopulationResult, examined, mo
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import without_tied
+from gbspec.training.runs.tied import HELPS, TIED, said_of_tied, without_tied
 
 EXACTLY = 1e-6
 """A noise below this part of a channel's largest one is none."""
@@ -75,6 +76,9 @@ def with_population(
         own_sd=found.individual_sd[:, pick],
         noise=_noise(context, found, objective),
     )
+    tied = {name: factor for name, factor in found.loosened.items() if factor > TIED and name in made_result.sd}
+    made_result.sd |= dict.fromkeys(tied, math.nan)
+    made_result.left += said_of_tied(tied, [name for name, one in found.loosened.items() if math.isnan(one)], HELPS)
     if _one_sum_of_squares(context.model):
         made_result.left += without_tied(made_result, context, parameters, theta, begun)
     tables = _tables(context, found, objective)

@@ -17,7 +17,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, TorchEngine, residual_vector
-from gbspec.training.optimise import Anchor, Penalised, loosened, minimise, noise_variance
+from gbspec.training.optimise import Anchor, Certainty, Penalised, loosened, minimise, noise_variance
 from gbspec.training.problem import Bijection, Bijections, Integers, Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import EXACT, QUANTILE, at_bounds, inside_bounds
@@ -162,6 +162,16 @@ def _refitted(target: Penalised, theta: Array, column: int, variance: float) -> 
         if rest.promised <= enough:
             break
     return theta, rest.objective
+
+
+def without_loosened(known: Certainty, parameters: Parameters) -> tuple[Certainty, list[str]]:
+    """The certainty of a fit with disturbances without the deviations of constants that are tied to those at bounds,
+    and what is to be said of them."""
+    names = [parameters.model.learnables[i].name for i in parameters.shared]
+    ended = [name for name, factor in zip(names, known.loosened, strict=False) if math.isnan(factor)]
+    tied = {name: float(factor) for name, factor in zip(names, known.loosened, strict=False) if factor > TIED}
+    kept = [math.nan if name in tied else sd for name, sd in zip(names, known.deviations, strict=True)]
+    return replace(known, deviations=np.array(kept)), said_of_tied(tied, ended, HELPS)
 
 
 def tied_to_bounds(engine: Engine, theta: Array, ended: list[str]) -> dict[str, float]:

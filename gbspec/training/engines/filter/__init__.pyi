@@ -1,6 +1,7 @@
 from .ahead import from_starts as from_starts
 from .ahead import steps_ahead as steps_ahead
 from .ahead import with_smoothed_starts as with_smoothed_starts
+from .engine import GONE as GONE
 from .engine import FilterEngine as FilterEngine
 from .layout import At as At
 from .recursion import Moment as Moment

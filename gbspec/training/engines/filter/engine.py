@@ -43,6 +43,8 @@ FIRST = 0.1
 """The first guess of standard deviations, in typical sizes of the states."""
 NOTHING = 1e-7
 """Information of an entry below which the data say nothing of it."""
+GONE = 3.0
+"""A noise whose logarithm has a larger standard deviation has gone to zero."""
 CHUNK = 192 * 1024**2
 """Approximate size in bytes of the derivatives that are kept at a time."""
 
@@ -313,12 +315,22 @@ class FilterEngine:
 
     # ---------------------------------------------------------------- what follows from a filter
     def deviations(self, vector: Array, found: Filtered) -> Array:
-        """The standard deviations of the vector's entries, from the information; NaN where there is none."""
+        """The standard deviations of the vector's entries, from the information; NaN where there is none. Constants at
+        bounds and noises at zero are held."""
         matrix = self.information(vector, found).matrix
-        size = np.diag(matrix)
-        scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
-        inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-        return np.where(size > 0, scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.nan)
+        deviations = _deviations(matrix)
+        held = self.ended(vector, deviations)
+        matrix[held], matrix[:, held] = 0.0, 0.0
+        return np.where(held, deviations, _deviations(matrix)) if held.any() else deviations
+
+    def ended(self, vector: Array, deviations: Array) -> Mask:
+        """The entries [size] of a vector with these standard deviations that ended at a bound: constants that
+        trajectories share, and noises at zero. Nothing changes any more with them."""
+        parameters, out = self.parameters, np.zeros(len(vector), dtype=np.bool_)
+        places = slice(parameters.n_weights, parameters.n_shared)
+        out[places] = parameters.bijections(parameters.shared).ended(vector[places], deviations[places])
+        out[parameters.size :] = deviations[parameters.size :] > GONE
+        return out
 
     def draws(self, vector: Array, found: Filtered, count: int) -> Array:
         """Vectors [count, size] that the data may have come from as well: normal, with the inverse of the information
@@ -400,4 +412,12 @@ def _first_states(engine: FilterEngine) -> Array:
     return out
 
 
-__all__ = ["FilterEngine", "Filtered", "Guess", "Information", "Innovations"]
+def _deviations(matrix: Array) -> Array:
+    """The roots of the diagonal of the inverse of an information; NaN where there is none."""
+    size = np.diag(matrix)
+    scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
+    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    return np.where(size > 0, scale * np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.nan)
+
+
+__all__ = ["GONE", "FilterEngine", "Filtered", "Guess", "Information", "Innovations"]
