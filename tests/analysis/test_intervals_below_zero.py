@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.far_outside import said_of_states
 from gbspec.analysis.prediction.forecast import Forecast, forecast, hidden_states
 from gbspec.data import Trajectories
@@ -43,6 +44,27 @@ def test_ends_below_zero_are_told_and_not_cut_off(tmp_path: Path) -> None:
     assert low.min() < -1, "the interval is that of a measurement, which may be negative"
     assert f"`x` go below zero in {(low < 0).sum()} of 20 rows (to {low.min():.3g})" in said
     assert "noise lognormal(" in said
+
+
+class Ends:
+    """A prediction whose interval goes below zero."""
+
+    failure, mean, low = "", np.array([[0.1], [3.0]]), np.array([[-1.0], [2.0]])
+
+
+@pytest.mark.parametrize(
+    ("observed", "why", "remedy"),
+    [
+        ("observe x", "by its declared range it does not", True),
+        ("observe y = x", "by the declared range of `x`, which it measures, it does not", True),
+        ("observe q = k*x", "by the declared ranges of what it is computed from it cannot", True),
+        ("observe l = log(x + 1)", "by the declared ranges of what it is computed from it cannot", False),
+    ],
+)
+def test_only_declared_ranges_are_named_and_logarithms_get_no_logarithms(observed: str, why: str, remedy: bool) -> None:
+    (said,) = said_of_ends(model_of(DECAY.format(range="[0, 20]") + observed + "\n"), [Ends()], [])
+    assert f"although {why}: they are" in said
+    assert ("lognormal" in said) == remedy
 
 
 @pytest.mark.parametrize(
