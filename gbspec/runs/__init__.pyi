@@ -21,6 +21,8 @@ from .population import read_tables as read_tables
 from .profiles import ProfileRecord as ProfileRecord
 from .profiles import Trust as Trust
 from .profiles import write_profile as write_profile
+from .quantiles import NORMAL_90 as NORMAL_90
+from .quantiles import quantile as quantile
 from .record import CERTAIN as CERTAIN
 from .record import DAMAGED as DAMAGED
 from .record import BackendRecord as BackendRecord

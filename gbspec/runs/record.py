@@ -21,6 +21,7 @@ from gbspec.ir import METHODS, RK4, Model, Network, logarithmic
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.runs.population import ObjectiveRecord, PopulationRecord
+from gbspec.runs.quantiles import quantile
 from gbspec.runs.typed_json import OMITTED, JsonError, decode, encode, read_object
 from gbspec.version import __version__
 
@@ -197,7 +198,8 @@ class MemberRecord:
 
     `likelihood` is that of a fit by maximum likelihood; such a fit's errors are of predictions from row to row.
 
-    `member` is its number and `files` the digests of its files by name; runs of version 0.1.0 have neither.
+    `member` is its number and `files` the digests of its files by name; runs of version 0.1.0 have neither. `freedom`:
+    the degrees of freedom of the residuals from which the noise was estimated; None for likelihoods and older runs.
     """
 
     seed: int
@@ -210,6 +212,7 @@ class MemberRecord:
     interval_loss: float | None = field(default=None, metadata=OMITTED)
     channels: Mapping[str, ChannelRecord] | None = field(default=None, metadata=OMITTED)
     likelihood: LikelihoodRecord | None = field(default=None, metadata=OMITTED)
+    freedom: float | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
     def estimated(self, model: Model) -> Estimated | None:
@@ -334,6 +337,11 @@ class FitRecord:
     finished: bool = True
     files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def quantile(self) -> float:
+        """Half the width of 90 % intervals, in standard deviations: of the member with the least `freedom`."""
+        return quantile(min((one.freedom for one in self.members if one.freedom is not None), default=None))
 
     def scales_for(self, model: Model, trajectories: Trajectories) -> Scales:
         """The scales of residuals for a table: those of the training, so that few rows are weighed as in the fit; those

@@ -17,14 +17,14 @@ from gbspec.analysis.bifurcation.continuation import SpecialPoint
 from gbspec.analysis.bifurcation.diagram import Diagram
 from gbspec.analysis.bifurcation.members import with_intervals
 from gbspec.analysis.bifurcation.uncertainty import point_slopes
-from gbspec.analysis.systems import QUANTILE, Family
+from gbspec.analysis.systems import Family
 from gbspec.analysis.systems.system import system_of
 from gbspec.backends import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
-from gbspec.runs import Certainties, ConstantRecord, Covariance
+from gbspec.runs import NORMAL_90, Certainties, ConstantRecord, Covariance
 from tests.analysis.conftest import model_of, nearly_true
 
 LOW, HIGH = 0.15, 0.3
@@ -103,7 +103,7 @@ def test_the_interval_is_in_text_json_and_figure(
     slope = point_slopes(diagram_of(member)[0].special[0], diagram_of(member)[1], HIGH - LOW, member)["constants"]
     expected = abs(slope[member.constants.index("B")]) * 0.02
     assert point["sd"] == pytest.approx(expected, rel=1e-2)
-    ends = [point["value"] - QUANTILE * point["sd"], point["value"] + QUANTILE * point["sd"]]
+    ends = [point["value"] - NORMAL_90 * point["sd"], point["value"] + NORMAL_90 * point["sd"]]
     assert point["interval"] == pytest.approx(ends)
     text = asked("-o", tmp_path / "diagram.svg").stdout
     assert f"[{ends[0]:.6g}, {ends[1]:.6g}]" in text
@@ -124,7 +124,7 @@ def test_members_add_their_differences() -> None:
     (point,) = with_intervals([diagram(0.5, 0.03), diagram(0.52, 0.03)]).special
     sd = np.sqrt(0.03**2 + 0.02**2 / 2)
     assert point.sd == pytest.approx(sd)
-    assert point.interval == pytest.approx((0.51 - QUANTILE * sd, 0.51 + QUANTILE * sd))
+    assert point.interval == pytest.approx((0.51 - NORMAL_90 * sd, 0.51 + NORMAL_90 * sd))
     (point,) = with_intervals([diagram(0.5, None), diagram(0.52, 0.03)]).special
     assert (point.interval, point.sd) == ((0.5, 0.52), None)
     lonely = replace(diagram(0.5, 0.03), special=())

@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.analysis.bifurcation.continuation import SpecialPoint
 from gbspec.analysis.bifurcation.diagram import Diagram
-from gbspec.analysis.systems import QUANTILE
+from gbspec.runs import NORMAL_90
 
 
 def with_intervals(diagrams: Sequence[Diagram]) -> Diagram:
@@ -42,4 +42,4 @@ def _together(alike: Sequence[SpecialPoint]) -> SpecialPoint:
         return replace(alike[0], interval=(low, high), sd=None)
     sd = float(np.sqrt(np.mean(np.square(within)) + values.var(ddof=1)))
     mean = float(values.mean())
-    return replace(alike[0], interval=(min(mean - QUANTILE * sd, low), max(mean + QUANTILE * sd, high)), sd=sd)
+    return replace(alike[0], interval=(min(mean - NORMAL_90 * sd, low), max(mean + NORMAL_90 * sd, high)), sd=sd)

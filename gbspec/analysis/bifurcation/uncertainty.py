@@ -21,8 +21,9 @@ import numpy as np
 from gbspec.analysis.bifurcation.continuation import SpecialPoint
 from gbspec.analysis.bifurcation.diagram import Diagram
 from gbspec.analysis.bifurcation.hopf import critical_pair
-from gbspec.analysis.systems import QUANTILE, Family, System
+from gbspec.analysis.systems import Family, System
 from gbspec.arrays import Array
+from gbspec.runs import NORMAL_90
 
 if TYPE_CHECKING:
     from gbspec.backends import GeneratedModule
@@ -61,7 +62,7 @@ def _known(point: SpecialPoint, family: Family, width: float, certainty: Certain
     sd = float(covariance.deviations(weights.reshape(1, size), np.array([constants]))[0])
     if not np.isfinite(sd):
         return point
-    return replace(point, sd=sd, interval=(point.value - QUANTILE * sd, point.value + QUANTILE * sd))
+    return replace(point, sd=sd, interval=(point.value - NORMAL_90 * sd, point.value + NORMAL_90 * sd))
 
 
 def point_slopes(point: SpecialPoint, family: Family, width: float, member: GeneratedModule) -> dict[str, Array]:

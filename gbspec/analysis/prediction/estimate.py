@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.prediction.noise import NORMAL_90, depends_on_value, residual_noise
+from gbspec.analysis.prediction.noise import depends_on_value, residual_noise
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
@@ -30,6 +30,7 @@ from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
 from gbspec.data import absent_states, recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
+from gbspec.runs import NORMAL_90, quantile
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
@@ -77,8 +78,9 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
     """The prior from the learned initial states of the training data, else from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
-        sd = spread_of_next(learned)
-        return Prior(learned.mean(axis=0), np.where(sd > 0, sd, np.maximum(np.abs(learned).max(axis=0), 1.0)))
+        spread = spread_of_next(learned)
+        wide = np.maximum(np.abs(learned).max(axis=0), 1.0)
+        return Prior(learned.mean(axis=0), np.where(spread > 0, spread, wide))
     center, sd = [], []
     for state in model.states:
         box = state.range if state.range is not None and state.range.bounded else None
@@ -92,12 +94,10 @@ def spread_of_next(values: Array) -> Array:
     """The standard deviation [...] of the next of N values [N, ...] of a normal distribution of which nothing else is
     known: that of the normal distribution whose 90 % interval is the one of Student's t with N - 1 degrees of freedom,
     s t sqrt(1 + 1/N) (Hahn and Meeker 1991, section 4.7). 0 for a single value."""
-    from scipy.special import stdtrit
-
     count = len(values)
     if count < 2:
         return np.zeros(values.shape[1:])
-    wider = float(stdtrit(count - 1, 0.95)) / NORMAL_90 * float(np.sqrt(1 + 1 / count))
+    wider = quantile(count - 1) / NORMAL_90 * float(np.sqrt(1 + 1 / count))
     return np.asarray(values.std(axis=0, ddof=1) * wider, dtype=np.float64)
 
 

@@ -29,7 +29,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted
 from gbspec.ir import logarithmic, on_fitted_scale
-from gbspec.runs import said_of_training
+from gbspec.runs import NORMAL_90, said_of_training
 
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
@@ -51,7 +51,7 @@ class PredictedTrajectory:
 
     `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
-    are multiplicative.
+    are multiplicative; `quantile` is half their width in standard deviations.
     """
 
     label: str
@@ -65,16 +65,17 @@ class PredictedTrajectory:
     estimated: tuple[str, ...]
     in_logarithms: Mask
     failure: str = ""
+    quantile: float = NORMAL_90
 
     @property
     def low(self) -> Array:
         """Lower end of the 90 % interval [R, V]."""
-        return interval(self.mean, self.sd, self.in_logarithms)[0]
+        return interval(self.mean, self.sd, self.in_logarithms, self.quantile)[0]
 
     @property
     def high(self) -> Array:
         """Upper end of the 90 % interval [R, V]."""
-        return interval(self.mean, self.sd, self.in_logarithms)[1]
+        return interval(self.mean, self.sd, self.in_logarithms, self.quantile)[1]
 
 
 @dataclass(frozen=True)
@@ -351,4 +352,4 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
-                               in_logarithms, failure)  # fmt: skip
+                               in_logarithms, failure, each[0].run.fit.quantile)  # fmt: skip

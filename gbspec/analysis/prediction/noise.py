@@ -13,15 +13,12 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.ir import logarithmic
+from gbspec.runs import NORMAL_90
 
 if TYPE_CHECKING:
     from gbspec.data import Trajectory
     from gbspec.ir import Channel, Expr, Model
     from gbspec.runs import FitRecord, Run
-
-
-NORMAL_90 = 1.6448536269514722
-"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
 
 
 def noise_at(run: Run, values: Array) -> Array:
@@ -117,11 +114,12 @@ def _wider(channel: Channel, known: Mapping[Expr, float]) -> float:
     return float(stdtrit(freedom, 0.95)) / NORMAL_90
 
 
-def interval(mean: Array, sd: Array, in_logarithms: Mask | bool) -> tuple[Array, Array]:
-    """The 90 % interval around `mean`: both ends, of the same shape; multiplicative for noise of logarithms."""
+def interval(mean: Array, sd: Array, in_logarithms: Mask | bool, half: float = NORMAL_90) -> tuple[Array, Array]:
+    """The 90 % interval around `mean`: both ends, of the same shape, `half` the width in standard deviations away;
+    multiplicative for noise of logarithms."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        factor = np.exp(NORMAL_90 * sd / np.abs(mean))
+        factor = np.exp(half * sd / np.abs(mean))
         by_factor = in_logarithms & np.isfinite(factor)
-        low = np.where(by_factor, np.minimum(mean / factor, mean * factor), mean - NORMAL_90 * sd)
-        high = np.where(by_factor, np.maximum(mean / factor, mean * factor), mean + NORMAL_90 * sd)
+        low = np.where(by_factor, np.minimum(mean / factor, mean * factor), mean - half * sd)
+        high = np.where(by_factor, np.maximum(mean / factor, mean * factor), mean + half * sd)
     return low, high

@@ -1,4 +1,3 @@
-from .bands import QUANTILE as QUANTILE
 from .bands import function_bands as function_bands
 from .compiled import Compiled as Compiled
 from .family import Family as Family

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from gbspec.ir import Model
     from gbspec.runs import Covariance, Run
 
-QUANTILE = 1.6448536269514722
-"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
 CHUNK = 256
 """Points whose derivatives are held at the same time."""
 
@@ -33,7 +31,7 @@ def function_bands(run: Run, name: str, points: Array) -> tuple[Array, Array, Ar
     values = np.stack([Evaluator(member).functions_many(name, points) for member in run.members])
     between = values.var(axis=0, ddof=1) if len(values) > 1 else 0.0
     within = np.mean([_deviations(run, number, name, points) ** 2 for number in run.numbers], axis=0)
-    mean, half = values.mean(axis=0), QUANTILE * np.sqrt(within + between)
+    mean, half = values.mean(axis=0), run.fit.quantile * np.sqrt(within + between)
     low, high = _guaranteed(run.model, name)
     return mean, np.minimum(np.maximum(mean - half, low), mean), np.maximum(np.minimum(mean + half, high), mean)
 

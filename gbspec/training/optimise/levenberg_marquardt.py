@@ -145,30 +145,42 @@ class LevenbergMarquardt:
         fit = _Fit(engine, system, theta, delta, ridge)
         equations = fit.equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
-        freedom = equations.degrees_of_freedom(weak, 0)
-        variance = noise_variance(engine.problem, residuals, delta, freedom)
         ahead, count = fit.step(weak), len(parameters.shared)
         out, inverse = np.zeros(count), np.zeros((count, count))
-        slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.places])
-        for i, slope in enumerate(slopes):
+        for i in range(count):
             unit = np.zeros(parameters.size)
             unit[parameters.n_weights + i] = 1.0
             inverse[i] = equations.invert(unit, weak)[parameters.n_weights : parameters.n_shared]
+        local = equations.local_variances(weak)
+        freedom = _used(equations, np.diag(inverse), local, weak)
+        variance = noise_variance(engine.problem, residuals, delta, freedom)
+        slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.places])
+        for i, slope in enumerate(slopes):
             own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])
             out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
         roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * np.where(slopes < 0, -1.0, 1.0)
-        own = _own_deviations(equations, theta, weak, variance, ahead)
+        own = _own_deviations(parameters, theta, local, variance, ahead)
         return Certainty(out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots), freedom, own)
 
 
-def _own_deviations(equations: NormalEquations, theta: Array, weak: float, variance: float, ahead: Array) -> Array:
-    """Standard deviations [N, k] of the constants per trajectory, by the rule for shared ones."""
-    parameters = equations.parameters
+def _used(equations: NormalEquations, shared: Array, local: Array, weak: float) -> float:
+    """The degrees of freedom that a fit has used, tr(J (J^T J + D)^-1 J^T): without a network the number of entries
+    less D times the trace of the inverse, of which `shared` [k] and `local` [N, n] are the diagonal. An estimate of
+    the first trace may be one too high or too low, which matters where values are few."""
+    entries = np.concatenate([shared, local.ravel()])
+    if equations.parameters.n_weights or not np.isfinite(entries).all():
+        return equations.degrees_of_freedom(weak, 0)
+    return float(np.sum(1 - weak * entries))
+
+
+def _own_deviations(parameters: Parameters, theta: Array, local: Array, variance: float, ahead: Array) -> Array:
+    """Standard deviations [N, k] of the constants per trajectory, by the rule for shared ones, from the diagonal
+    `local` of the inverse."""
     if not parameters.own:
         return np.zeros((parameters.trajectories, 0))
     count = len(parameters.own)
     blocks, moves = (v[parameters.n_shared :].reshape(-1, parameters.n_local)[:, :count] for v in (theta, ahead))
-    own = np.sqrt(np.maximum(equations.local_variances(weak)[:, :count], 0.0) * variance)
+    own = np.sqrt(np.maximum(local[:, :count], 0.0) * variance)
     slopes = parameters.bijections(parameters.own).derivative(blocks)
     return np.where(np.abs(moves) <= own, np.abs(slopes) * np.hypot(own, moves), np.nan)
 

@@ -3,8 +3,9 @@
 The constant is fixed at successive values, outwards from its estimate, and the weights, the other constants and the
 initial states are refitted each time (Raue et al. 2009, Bioinformatics 25, 1923). Whole solutions from the initial
 states are fitted. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
-deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval. Where
-residuals are autocorrelated, the threshold is higher by the square of the factor that widens the intervals of the fit.
+deviance; below the 90 % point of F(1, n), n being the degrees of freedom of the residuals from which sigma is known
+(2.706, that of chi-squared, for many), a value is within the interval. Where residuals are autocorrelated, the
+threshold is higher by the square of the factor that widens the intervals of the fit.
 
 The weights' prior is centered at the weights of the run, with the precision that the evidence gives there. A network
 has far more weights than the data determine, and whole solutions are nonlinear in the others: if the fit does not
@@ -25,7 +26,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
-from gbspec.runs import ProfileRecord, Run, write_profile
+from gbspec.runs import ProfileRecord, Run, quantile, write_profile
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import (
     Anchor,
@@ -41,7 +42,7 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijection, Parameters, Problem, typical
 from gbspec.training.profile.agreement import Found, compared, narrowing
 from gbspec.training.profile.possible import check
-from gbspec.training.profile.result import THRESHOLD, Profile, ProfilePoint
+from gbspec.training.profile.result import Profile, ProfilePoint
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 from gbspec.training.runs import agreed, at_bounds, widening
@@ -133,7 +134,7 @@ class _Profiler:
         record = next((one for one in run.fit.members if one.member == member), None)
         self.free.estimated = None if record is None else record.estimated(run.model)
         self.widening = 1.0 if record is None else widening(record.channels or {})
-        self.threshold = THRESHOLD * self.widening**2
+        self.threshold = (quantile(None if record is None else record.freedom) * self.widening) ** 2
         self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
         self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
         self.column = self.parameters.n_weights + self.place

@@ -10,7 +10,7 @@ from gbspec.frames import Shown, of_rows
 from gbspec.training.profile.agreement import Comparison
 
 THRESHOLD = 2.705543454095404
-"""The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
+"""The 90 % point of chi-squared with one degree of freedom, as of data whose noise is known."""
 
 
 @dataclass(frozen=True)

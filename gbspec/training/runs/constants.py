@@ -13,15 +13,13 @@ import torch
 from gbspec.arrays import Array
 from gbspec.files import finite
 from gbspec.ir import Learnable, Model
-from gbspec.runs import ConstantRecord, OwnRecord
+from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import NARROW, Bijection, Bijections
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import lost
 
 TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
-QUANTILE = 1.645
-"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
 NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
 COVERED = 0.9
@@ -35,19 +33,20 @@ def constant_record(
 ) -> ConstantRecord:
     """Mean over members, standard deviation (within and between members), and a 90 % interval."""
     values = np.array([r.constants[learnable.name] for r in results])
-    center, sd, interval = _estimate(learnable, values, np.array([r.sd[learnable.name] for r in results]))
+    within = np.array([r.sd[learnable.name] for r in results])
+    center, sd, interval = _estimate(learnable, values, within, half_width(results))
     return ConstantRecord(center, sd, interval, learnable.start, tuple(map(float, values)), own)
 
 
 def _estimate(
-    learnable: Learnable, values: Array, within: Array
+    learnable: Learnable, values: Array, within: Array, half: float
 ) -> tuple[float, float | None, tuple[float, float] | None]:
     """The mean of the members' values, its standard deviation from those `within` members, and a 90 % interval within
-    the bounds."""
+    the bounds, of which `half` the width in standard deviations is given."""
     between = values.var(ddof=1) if len(values) > 1 else 0.0
     sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
     center = float(values.mean())
-    return center, finite(sd), inside_bounds(learnable, center, sd) if math.isfinite(sd) else None
+    return center, finite(sd), inside_bounds(learnable, center, sd, half) if math.isfinite(sd) else None
 
 
 def own_records(model: Model, results: list[MemberResult]) -> dict[str, dict[str, OwnRecord]]:
@@ -59,21 +58,29 @@ def own_records(model: Model, results: list[MemberResult]) -> dict[str, dict[str
         for label in common:
             rows = [(r, r.labels.index(label)) for r in results]
             values, within = (np.array([getattr(r, name)[row, j] for r, row in rows]) for name in ("own", "own_sd"))
-            center, sd, interval = _estimate(learnable, values, within)
+            center, sd, interval = _estimate(learnable, values, within, half_width(results))
             records[label] = OwnRecord(center, sd, interval)
     return out
 
 
-def inside_bounds(learnable: Learnable, center: float, sd: float) -> tuple[float, float] | None:
-    """The 90 % interval of a constant: symmetrical on the scale on which it is trained, whose values all lie within the
-    bounds; None for a constant at its bound, where this scale ends, and where an end is too large for a number."""
+def half_width(results: Iterable[MemberResult]) -> float:
+    """Half the width of 90 % intervals in standard deviations: by the member with the fewest degrees of freedom."""
+    return quantile(min((r.freedom for r in results if r.freedom is not None), default=None))
+
+
+def inside_bounds(
+    learnable: Learnable, center: float, sd: float, half: float = NORMAL_90
+) -> tuple[float, float] | None:
+    """The interval of a constant, `half` its width in standard deviations: symmetrical on the scale on which it is
+    trained, whose values all lie within the bounds; None for a constant at its bound, where this scale ends, and where
+    an end is too large for a number."""
     scale = Bijections.of((learnable,))
     place = scale.from_natural(np.array([center]))
     slope = abs(float(scale.derivative(place)[0]))
     if not slope > 0:
         return None
-    half = QUANTILE * sd / slope
-    ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-half, half)]
+    reach = half * sd / slope
+    ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-reach, reach)]
     return (min(*ends, center), max(*ends, center)) if np.isfinite(ends).all() else None
 
 

@@ -12,6 +12,7 @@ from gbspec.backends import GeneratedModule
 from gbspec.data import variance_of
 from gbspec.files import finite
 from gbspec.runs import (
+    NORMAL_90,
     Certainties,
     ChannelRecord,
     LikelihoodRecord,
@@ -25,7 +26,6 @@ from gbspec.training.problem import Parameters, autocorrelation_of, in_time
 from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
 from gbspec.training.runs import summary
-from gbspec.training.runs.constants import QUANTILE
 from gbspec.training.runs.summary import MemberResult
 
 OBJECTIVE = "likelihood of innovations (Kalman filter)"
@@ -142,7 +142,7 @@ def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> Likelih
     for place, channel in enumerate(engine.noise.learned):
         value, sd = float(np.exp(log_sd[place])), finite(float(deviations[engine.parameters.size + place]))
         known = sd is not None and sd < GONE
-        interval = (value * np.exp(-QUANTILE * (sd or 0)), value * np.exp(QUANTILE * (sd or 0))) if known else None
+        interval = (value * np.exp(-NORMAL_90 * (sd or 0)), value * np.exp(NORMAL_90 * (sd or 0))) if known else None
         noise[model.channels[channel].name] = NoiseRecord(value, sd, interval)
     return LikelihoodRecord(
         OBJECTIVE,

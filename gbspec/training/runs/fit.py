@@ -404,6 +404,7 @@ def _member(number: int, result: MemberResult) -> MemberRecord:
         interval,
         result.channels,
         result.likelihood,
+        result.freedom,
     )
 
 

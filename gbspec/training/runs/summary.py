@@ -76,6 +76,8 @@ class MemberResult:
     population: PopulationRecord | None = None
     objective: ObjectiveRecord | None = None
     likelihood: LikelihoodRecord | None = None
+    freedom: float | None = None
+    """Degrees of freedom of the residuals from which the noise was estimated; None where it was not, or not known."""
     vanished: frozenset[str] = frozenset()
     """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
 
@@ -135,6 +137,7 @@ def summarise(
         own=own,
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
+        freedom=None if model.marginal else noise_of.freedom,
     )
 
 
@@ -223,10 +226,12 @@ class _Noise:
     If the data are noisy, or only constants are learned, whole solutions were fitted: the noise variance is then the
     mean squared residual (with limited outliers), divided by the `share` of the degrees of freedom that the fit has not
     used. Otherwise each value was predicted from the previous one, and the noise is estimated from the median.
+    `freedom` are those that are left, of the values as much as each counts; None where those used are not known.
     """
 
     residuals: Array
     share: float | None
+    freedom: float | None
 
     @classmethod
     def of(
@@ -237,11 +242,13 @@ class _Noise:
         engine = context.engine(parameters, 0.0 if whole else context.options.blend, step_fraction(stages))
         residuals, share = residual_table(engine, theta), engine.problem.scaling.share
         residuals = residuals if share is None else residuals / np.sqrt(share)
-        count = float(np.sum(engine.problem.noise_terms(residual_vector(engine, theta))[1] / engine.problem.shares))
+        values = engine.problem.noise_terms(residual_vector(engine, theta))[1]
+        count, counted = float(np.sum(values / engine.problem.shares)), float(values.sum())
+        left = max(counted - freedom, 0.1 * counted, 1.0) if np.isfinite(freedom) else None
         if not whole or not count:
-            return cls(residuals, None)
+            return cls(residuals, None, left)
         used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
-        return cls(residuals, max(1 - used / count, 0.1, 1 / count))
+        return cls(residuals, max(1 - used / count, 0.1, 1 / count), left)
 
     def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:
         """The standard deviation of a channel's noise."""

@@ -20,7 +20,7 @@ from gbspec.training.engines import Engine, TorchEngine, residual_vector
 from gbspec.training.optimise import Anchor, Certainty, Penalised, loosened, minimise, noise_variance
 from gbspec.training.problem import Bijection, Bijections, Integers, Parameters
 from gbspec.training.recipe import Context, step_fraction
-from gbspec.training.runs.constants import EXACT, QUANTILE, at_bounds, inside_bounds
+from gbspec.training.runs.constants import EXACT, at_bounds, half_width, inside_bounds
 from gbspec.training.runs.summary import MemberResult, whole_solutions
 from gbspec.training.runs.verdict import widening
 
@@ -79,7 +79,7 @@ def without_tied(
     followed = []
     # Jacobians of delays by the torch graph take seconds each.
     if not parameters.n_weights and not (context.model.delays and isinstance(engine, TorchEngine)):
-        threshold = (QUANTILE * widening(result.channels or {})) ** 2
+        threshold = (half_width([result]) * widening(result.channels or {})) ** 2
         followed = _followed(
             context, engine, theta, {name: at[name] for name in ended}, _intervals(result, context), threshold
         )
@@ -93,7 +93,7 @@ def _intervals(result: MemberResult, context: Context) -> dict[str, tuple[float,
     """The intervals of the constants that have one."""
     each = {k.name: k for k in context.model.learnables}
     found = {
-        name: inside_bounds(each[name], result.constants[name], sd)
+        name: inside_bounds(each[name], result.constants[name], sd, half_width([result]))
         for name, sd in result.sd.items()
         if math.isfinite(sd) and not each[name].per_trajectory
     }
