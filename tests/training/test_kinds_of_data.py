@@ -16,6 +16,7 @@ import pytest
 import gbspec
 from gbspec.data.trajectories import Trajectories
 from gbspec.frontend import resolve
+from gbspec.runs import quantile
 from gbspec.studies.heldout import Point, errors
 
 DECAY = """model decay
@@ -134,8 +135,9 @@ def test_noise_in_proportion_gives_intervals_in_proportion(tmp_path: Path) -> No
     high, mean, low, measured = (
         np.concatenate([getattr(item, name)[:, 0] for item in seen]) for name in ("high", "mean", "low", "measured")
     )
-    assert high / mean == pytest.approx(np.exp(1.645 * noise), rel=1e-3)
-    assert mean / low == pytest.approx(np.exp(1.645 * noise), rel=1e-3)
+    factor = np.exp(quantile(run.run.fit.members[0].freedom) * noise)
+    assert high / mean == pytest.approx(factor, rel=1e-3)
+    assert mean / low == pytest.approx(factor, rel=1e-3)
     assert 0.75 < np.mean((measured > low) & (measured < high)) < 0.99
 
 
