@@ -37,25 +37,6 @@ def test_requests_to_end_are_noted_with_the_signals_there_are(windows: None) -> 
         assert asked()
 
 
-def test_an_iteration_that_takes_too_long_after_a_request_is_given_up() -> None:
-    """A step by quadrature went on for a minute and a half."""
-    ended = threading.Event()
-    with pytest.raises(KeyboardInterrupt), signals.uninterrupted(patience=0.0) as asked:
-        signal.raise_signal(signal.SIGTERM)
-        ended.wait(60.0)  # an iteration that does not end
-    assert asked()
-
-
-def test_a_request_that_was_seen_is_not_repeated() -> None:
-    with signals.uninterrupted(patience=3600.0) as asked:
-        signal.raise_signal(signal.SIGTERM)
-        repeated = [each for each in threading.enumerate() if isinstance(each, threading.Timer)]
-        assert asked()
-        assert len(repeated) == 1
-        repeated[0].join(60.0)
-        assert not repeated[0].is_alive()
-
-
 def test_no_tracker_is_started_where_there_is_none(windows: None, monkeypatch: pytest.MonkeyPatch) -> None:
     def ensure_running() -> None:
         raise AssertionError("it cannot be started here")

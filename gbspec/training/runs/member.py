@@ -40,7 +40,7 @@ from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import EDITION, Position, checkpoint
 from gbspec.training.runs.remarks import Exact, Remarks
-from gbspec.training.runs.signals import PATIENCE, uninterrupted
+from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import without_loosened, without_tied
@@ -81,7 +81,7 @@ def fit_member(
     seed = options.seed + member
     kept = checkpoint(directory) if options.resume else None
     began = time.monotonic()
-    with uninterrupted(PATIENCE) as interrupted:
+    with uninterrupted() as interrupted:
         begun = beginning(
             model, module, trajectories, options, seed, kept, lambda text: progress.message(f"member {member}: {text}")
         )

@@ -14,20 +14,13 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 """Signals by which a process is asked to end; not every system has all."""
 GRACE = 2.0
 """Seconds in which a worker that was asked to end waits for the same request to reach its parent."""
-PATIENCE = 10.0
-"""Seconds in which an iteration may be completed; after those it is given up, since batch systems kill soon after."""
 
 
 class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
-    """A context that records requests to end, so that an iteration is completed; a second one is raised at once, as is
-    the first where nobody has asked for it within `patience` seconds.
+    """A context that records requests to end, so that an iteration is completed; a second one is raised at once.
 
     Signals that the process ignores stay ignored: SIGHUP below `nohup`.
     """
-
-    def __init__(self, patience: float | None = None) -> None:
-        self._patience = patience
-        self._repeated: threading.Timer | None = None
 
     def __enter__(self) -> Callable[[], bool]:
         self._seen = 0
@@ -38,40 +31,16 @@ class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
                 if before not in (signal.SIG_IGN, None):
                     self._before[number] = before
                     signal.signal(number, self._note)
-        return self._asked
-
-    def _asked(self) -> bool:
-        if self._seen:
-            self._cancel()
-        return self._seen > 0
+        return lambda: self._seen > 0
 
     def _note(self, number: int, frame: object) -> None:
         self._seen += 1
         if self._seen > 1:
-            self._cancel()
             raise KeyboardInterrupt
-        if self._patience is not None:
-            self._repeated = threading.Timer(self._patience, _repeat, [number])
-            self._repeated.daemon = True
-            self._repeated.start()
-
-    def _cancel(self) -> None:
-        if self._repeated is not None:
-            self._repeated.cancel()
 
     def __exit__(self, *exception: object) -> None:
-        self._cancel()
         for number, before in self._before.items():
             signal.signal(number, before)
-
-
-def _repeat(number: int) -> None:
-    """Sends a signal to the main thread, which raises it between two calls of native code."""
-    main = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main is not None:
-        signal.pthread_kill(main, number)  # a wait ends too
-    else:
-        signal.raise_signal(number)
 
 
 def _signals() -> list[signal.Signals]:
