@@ -16,6 +16,7 @@ from .prediction.below_zero import said_of_ends as said_of_ends
 from .prediction.estimate import Estimator as Estimator
 from .prediction.estimate import predictions as predictions
 from .prediction.estimate import refitting as refitting
+from .prediction.far_outside import said_of_states as said_of_states
 from .prediction.forecast import Forecast as Forecast
 from .prediction.forecast import PredictedTrajectory as PredictedTrajectory
 from .prediction.forecast import Use as Use

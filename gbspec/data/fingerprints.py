@@ -30,8 +30,14 @@ def fingerprint(trajectory: Trajectory) -> str:
 
 
 def beginning(trajectory: Trajectory, rows: int) -> str:
-    """The same of its first `rows` measured rows alone, without inputs and doses, which go on after them."""
-    return _digest(_measured(trajectory, measured_rows(trajectory)[:rows]))
+    """The same of its first `rows` measured rows alone, with the inputs and doses until the last of them."""
+    kept = measured_rows(trajectory)[:rows]
+    parts, end = _measured(trajectory, kept), trajectory.times[kept].max(initial=-np.inf)
+    for signal in trajectory.inputs:
+        parts += [signal.times[signal.times <= end], signal.values[signal.times <= end]]
+    for events in trajectory.doses:
+        parts += [events.times[events.times <= end], events.amounts[events.times <= end]]
+    return _digest(parts)
 
 
 def beginnings(items: Sequence[Trajectory]) -> list[list[int | str]]:

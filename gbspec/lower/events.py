@@ -204,7 +204,9 @@ def _refuse_together(model: Model, checked: Checked, findings: Findings) -> None
     for channel in model.channels:
         noise = channel.noise
         if noise is not None and noise.value is not None:
-            holds = "holds learned constants" if noise.value.free_symbols & learned else "depends on the measured value"
+            holds = (
+                "holds learned constants" if noise.value.free_symbols & learned else "depends on the predicted value"
+            )
             why = "is Student's" if noise.kind == "student" else holds
             message = f"the noise of `{channel.name}` {why}, which events do not offer yet"
             help = "write `noise normal(…)` or `noise lognormal(…)` with a number, or leave out the events"

@@ -48,6 +48,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         said_of_coverage,
         said_of_ends,
         said_of_items,
+        said_of_states,
     )
     from gbspec.data import continued
     from gbspec.runs import said_of_training
@@ -88,7 +89,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     names = (*channels, *(states[i] for i in hidden))
     ahead = any("predicted" in item.used for item in items)
     said = (
-        *said_of_items(items), *said_of_ends(model, items, hidden),
+        *said_of_items(items), *said_of_ends(model, items, hidden), *said_of_states(model, items, tuple(hidden)),
         *(said_of_training(run.fit.members) if ahead else ()),
     )  # fmt: skip
     found = Forecast(names, channels, states, tuple(items), 1, said, model.time.name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def autocorrelated(
     ]
 
 
-def said_of_training(members: Iterable[MemberRecord]) -> list[str]:
+def said_of_training(members: Collection[MemberRecord]) -> list[str]:
     """What predictions of new rows are told of the channels that no member follows in the training data, or of which
     all members leave autocorrelated residuals."""
     found = [member.channels for member in members if member.channels]
@@ -59,6 +59,8 @@ def said_of_training(members: Iterable[MemberRecord]) -> list[str]:
     names = [name for name in found[0] if all(name in each for each in found)]
     badly = [name for name in names if all(how_followed(_r2(each[name]), [each[name]]) == "badly" for each in found)]
     coloured = [name for name in names if name not in badly and all(name in autocorrelated(each) for each in found)]
+    filtered = any(member.likelihood is not None for member in members)
+    what = "the model lacks something" if filtered else "the system is disturbed, or the model lacks something"
     out = []
     if badly:
         best = {name: max(_r2(each[name]) for each in found) for name in badly}
@@ -67,8 +69,7 @@ def said_of_training(members: Iterable[MemberRecord]) -> list[str]:
     if coloured:
         out.append(
             f"the residuals of {', '.join(f'`{name}`' for name in coloured)} in the training data are autocorrelated: "
-            "the system is disturbed, or the model lacks something. Predictions of further rows are less certain than "
-            "their intervals say"
+            f"{what}. Predictions of further rows are less certain than their intervals say"
         )
     return out
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.runs.files import LOCK
 
+GLANCE = 0.1
+"""Seconds in which a lock that only another look at it held is free again."""
 PATIENCE = 3.0
 """Seconds to wait for a lock: a process that has lost its parent needs a moment to end."""
 
@@ -44,7 +46,8 @@ def held_elsewhere(directory: Path) -> bool:
         return False
     lock = FileLock(str(path), timeout=PATIENCE, is_singleton=True)
     try:
-        with lock.acquire(timeout=0):
+        # Another process that looks as this one does holds it for a moment too.
+        with lock.acquire(timeout=GLANCE, poll_interval=GLANCE / 10):
             return False
     except Timeout:
         return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,6 +45,46 @@ def test_inputs_and_doses_that_go_on_and_rows_without_a_value_change_no_beginnin
         doses=(DoseEvents(np.array([1.0, 6.0]), np.array([2.0, 2.0])),),
     )  # fmt: skip
     assert continued(known, ahead) == (0, 4)
+    for other in (
+        replace(ahead, inputs=(Signal(TIMES, np.full(10, 2.0)),)),
+        replace(ahead, doses=(DoseEvents(np.array([1.0]), np.array([20.0])),)),
+    ):
+        assert continued(known, other) is None, "what acted until then is another"
+
+
+TWO = """model two
+time t from 0
+state x in [0, 20]
+state y in [0, 20] = 1
+learn k = 0.5 in [0.05, 5]
+x' = -k*x
+y' = k*x - 0.1*y
+initial x = 10
+observe x
+observe y
+"""
+
+
+@pytest.mark.parametrize("stages", ["least squares", ""])
+def test_first_values_that_the_training_believed_are_known_with_their_noise(tmp_path: Path, stages: str) -> None:
+    """The model gives the start of x, whatever its first row measures; that of y is measured."""
+    random = np.random.default_rng(4)
+    exact = np.stack([10 * np.exp(-0.5 * TIMES), 1 + 0 * TIMES], axis=1)
+    for i in range(1, len(TIMES)):
+        exact[i, 1] = exact[0, 1] * np.exp(-0.1 * TIMES[i]) + 12.5 * (np.exp(-0.1 * TIMES[i]) - np.exp(-0.5 * TIMES[i]))
+    values = exact + 0.1 * random.standard_normal(exact.shape)
+    first, whole = (trajectory("1", 0.0, TIMES[:n], values[:n], []) for n in (6, 10))
+    options = TrainOptions(effort="low", stages=stages) if stages else TrainOptions(effort="low")
+    run = train(model_of(TWO), Trajectories((first,), ("x", "y")), options, tmp_path / "run")
+    (item,) = forecast(run, Trajectories((whole,), ("x", "y"))).items
+    learned = run.member().weights["initial"][0]
+    believed = learned[1] == values[0, 1]
+    assert learned[0] == 10 and item.start.origin == "continued"
+    noise = run.fit.noise["y"]
+    certain = float(np.sqrt(item.sd[-1, 1] ** 2 - noise**2))
+    if believed:  # the first value of y decays by a half until the last row
+        assert certain > 0.4 * noise
+    assert certain < 2 * noise
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +114,7 @@ def test_what_was_learned_of_a_trajectory_predicts_its_later_rows(run: Run) -> N
 def test_a_window_that_is_given_is_kept_and_training_rows_are_no_errors(run: Run) -> None:
     (item,) = forecast(run, Trajectories((decay("b", 0.6, seed=1),), ("x",)), window=3).items
     assert item.start.origin == "estimated"
-    assert item.used == ("training",) * 5 + ("predicted",) * 5
+    assert item.used == ("window",) * 3 + ("training",) * 2 + ("predicted",) * 5
 
 
 def test_intervals_that_measurements_refute_are_told() -> None:

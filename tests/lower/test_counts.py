@@ -42,7 +42,7 @@ def test_the_lines_of_the_help_compile() -> None:
 
 
 @pytest.mark.parametrize(
-    ("noise", "why"), [("sqrt(1 + y)", "depends on the measured value"), ("k", "holds learned constants")]
+    ("noise", "why"), [("sqrt(1 + y)", "depends on the predicted value"), ("k", "holds learned constants")]
 )
 def test_the_reason_is_that_of_the_noise(noise: str, why: str) -> None:
     error = refusal(f"{EPIDEMIC}{WEEK}observe cases = C noise normal({noise})\n")

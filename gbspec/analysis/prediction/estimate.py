@@ -170,7 +170,9 @@ class Estimator:
         found = [
             self.evaluator.instance.weights.get(f"per_trajectory.{n}") for n in self.evaluator.instance.per_trajectory
         ]
-        sd = [0.0 if values is None else float(spread_of_next(np.asarray(values))) for values in found]
+        # Where constants have a distribution, its spread was fitted, and what is estimated here are shrunken values.
+        spread = spread_of_next if not self.model.marginal else lambda values: np.std(values, axis=0, ddof=1)
+        sd = [0.0 if values is None or len(values) < 2 else float(spread(np.asarray(values))) for values in found]
         return np.where(np.array(sd) > 0, sd, np.maximum(center, 1e-3))
 
     def residuals(self, item: Trajectory, channels: Array) -> Array:

@@ -41,8 +41,8 @@ Use = Literal["training", "window", "predicted"]
 
 
 ENOUGH, REFUTED = 10, 0.6
-"""Of at least so many measurements at least this share lies inside 90 % intervals that hold: of ten, fewer than six do
-in one of six hundred cases."""
+"""Of at least so many measurements fewer than this share lie inside 90 % intervals where a warning is given. It is a
+sign and no test: errors of one trajectory are not independent of each other."""
 
 
 @dataclass(frozen=True)
@@ -258,11 +258,11 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
 
 def said_of_coverage(errors: Mapping[str, Errors]) -> list[str]:
-    """A warning for each channel of which the measurements refute the intervals."""
+    """A warning for each channel of which the measurements are hardly in agreement with the intervals."""
     return [
-        f"{100 * one.covered:.0f} % of the values of `{name}` that were not used lie inside its 90 % intervals: these "
-        "rows show something that the model lacks and the training data did not show, so that no interval from these "
-        "holds here. Train with such rows too, or give the model what they show"
+        f"{100 * one.covered:.0f} % of the values of `{name}` that were not used lie inside its 90 % intervals. Rows "
+        "of one trajectory err together; where several trajectories do so, these rows show something that the model "
+        "lacks, and no interval from the training data holds here: train with such rows too"
         for name, one in errors.items()
         if one.n >= ENOUGH and one.covered < REFUTED
     ]
@@ -319,8 +319,9 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
 
 
 def uses(rows: int, trained: int, window: int) -> tuple[Use, ...]:
-    """The use of each of so many rows: the first `trained` ones in the training, those up to `window` in the window."""
-    return tuple("training" if i < trained else "window" if i < window else "predicted" for i in range(rows))
+    """The use of each of so many rows: those up to `window` in a window that was given, others of the first `trained`
+    ones in the training."""
+    return tuple("window" if i < window else "training" if i < trained else "predicted" for i in range(rows))
 
 
 def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, known: Trained) -> PredictedTrajectory:
@@ -348,7 +349,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
         free = each[0].estimator.free(first_rows(item, rows))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
-    used = uses(len(item.times), trained, rows)
+    used = uses(len(item.times), trained, 0 if position is not None or goes_on else rows)
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,

@@ -111,7 +111,9 @@ class MemberPredictions:
             return self.estimator.start(seen), self.estimator
         start = learned_start(self.evaluator, longer[0], item, "continued")
         # The training has estimated measured initial values too, or has believed them.
-        moved = not np.array_equal(measured_start(self.model, seen, start.state), start.state)
+        kept = [i for i, state in enumerate(self.model.states) if state.initial.kind == "measured"]
+        believed = measured_start(self.model, seen, start.state)
+        moved = not np.array_equal(believed[kept], start.state[kept])
         return start, self.freed if moved else self.estimator
 
     def _solve(self, item: Trajectory, start: Start, evaluator: Evaluator | None = None) -> tuple[Prediction, Array]:

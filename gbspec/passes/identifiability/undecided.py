@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from gbspec.ir import Model
+from gbspec.ir import Model, in_language
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.terms import larger_than
 
@@ -97,7 +97,10 @@ def _differing(question: Question) -> str:
         learned = {k.symbol for k in model.learnables}
         others = {other: e for other, e in starts.items() if other is not state and start in e.free_symbols}
         if start in learned and others:
-            lines = [f"initial {other.name} = {e.xreplace({start: state.symbol})}" for other, e in others.items()]
+            lines = [
+                f"initial {other.name} = {in_language(e.xreplace({start: state.symbol}), model.conditions)}"
+                for other, e in others.items()
+            ]
             return f"leave out `initial {state.name} = {start}` and write {_list(lines, 'and')}"
     return f"leave out {_list([f'initial {state.name} = …' for state in starts], 'or')}"
 

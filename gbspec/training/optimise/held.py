@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.runs import NORMAL_90
 from gbspec.training.problem import Integers
 
-FALL, QUANTILE = 2.706, 1.645
-"""-2 log likelihood may rise by this within a 90 % interval, whose ends are so many standard deviations away."""
+FALL = NORMAL_90**2
+"""-2 log likelihood may rise by this within a 90 % interval."""
 
 
 def tied_at_bounds(
@@ -37,6 +38,6 @@ def tied_at_bounds(
             left = max(float(matrix[place, place] + matrix[place] @ along), 0.0)
             slope = abs(float(gradient[place]))
             move = min(FALL / max(slope + np.sqrt(slope**2 + left * FALL), 1e-300), limit)
-            out = np.where(np.abs(move * along) > QUANTILE * deviations, factors, out)
+            out = np.where(np.abs(move * along) > NORMAL_90 * deviations, factors, out)
     out[held] = np.nan
     return out

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.runs import Covariance
+from gbspec.runs import NORMAL_90, Covariance
 from gbspec.training.optimise import tied_at_bounds
 from gbspec.training.population import student
 from gbspec.training.population.discrepancies import prediction_errors
@@ -27,8 +27,6 @@ from gbspec.training.population.predictions import Measured
 from gbspec.training.population.uncertainty import of_parameters, of_shared
 from gbspec.training.problem import Integers
 
-QUANTILE = 1.645
-"""Half the width of a 90 % interval of a normal distribution, in standard deviations."""
 BINS = 10
 """Most intervals of time in which a predictive check compares quantiles."""
 REPLICATES, MOST = 500, 10_000_000
@@ -186,7 +184,7 @@ def _estimates(layout: Layout, u: Array, covariance: Array) -> Estimates:
     with np.errstate(invalid="ignore"):
         own = np.sqrt(np.diag(covariance))
     value = layout.natural(at).numpy()
-    ends = [layout.natural(torch.from_numpy(u + sign * QUANTILE * own)).numpy() for sign in (-1, 1)]
+    ends = [layout.natural(torch.from_numpy(u + sign * NORMAL_90 * own)).numpy() for sign in (-1, 1)]
     scaled = covariance * np.outer(slopes, slopes)
     low, high = np.minimum(*ends), np.maximum(*ends)
     return Estimates(tuple(layout.names), value, np.abs(slopes) * own, low, high, scaled)

@@ -164,7 +164,7 @@ def filter_run(
         visible = _without(trajectories, hidden)
         shown = build_context(run.model, run.module, visible, options, 0)
         guess = _middles(run, visible, hidden, guess)
-    starts, constants = _known(run, instance, trajectories, guess)
+    starts, constants = _known(run, instance, trajectories, guess, window is None)
     parameters = replace(shown.parameters(fixed), start_value=starts)
     engine = FilterEngine.of(context.problem(0.0), parameters)
     noise = {} if record.likelihood is None else record.likelihood.noise
@@ -206,13 +206,13 @@ def _middles(run: Run, visible: Trajectories, hidden: Sequence[Mask], start: Arr
     return out
 
 
-def _places(instance: GeneratedModule, trajectories: Trajectories) -> list[int | None]:
-    """Which trajectory of the training each one is, or begins with; None for new ones."""
+def _places(instance: GeneratedModule, trajectories: Trajectories, going_on: bool) -> list[int | None]:
+    """Which trajectory of the training each one is or, with `going_on`, begins with; None for new ones."""
     found = instance.info.get("fingerprints")
     learned = {str(mark): i for i, mark in enumerate(found if isinstance(found, list) else [])}
     out: list[int | None] = []
     for item in trajectories.items:
-        longer = continued(instance.info.get("beginnings"), item)
+        longer = continued(instance.info.get("beginnings"), item) if going_on else None
         out.append(learned.get(fingerprint(item), None if longer is None else longer[0]))
     return out
 
@@ -228,13 +228,15 @@ def _measured_place(engine: FilterEngine) -> Integers:
     return out
 
 
-def _known(run: Run, instance: GeneratedModule, trajectories: Trajectories, guess: Array) -> tuple[Array, Array]:
+def _known(
+    run: Run, instance: GeneratedModule, trajectories: Trajectories, guess: Array, going_on: bool
+) -> tuple[Array, Array]:
     """Starts [N, n] and learnable constants [N, k] of trajectories: those learned, where training saw them."""
     model, known, weights = run.model, len(run.model.constants), instance.weights
     starts = guess.copy()
     constants = np.tile(np.asarray(weights["constants"], dtype=np.float64)[known:], (len(trajectories), 1))
     kinds = np.array([state.initial.kind == "learned" for state in model.states])
-    for i, place in enumerate(_places(instance, trajectories)):
+    for i, place in enumerate(_places(instance, trajectories, going_on)):
         if place is None:
             continue
         starts[i, kinds] = np.asarray(weights["initial"])[place, kinds]
