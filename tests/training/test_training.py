@@ -56,7 +56,7 @@ def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     assert list(fit["data"]) == ["path", "sha256", "trajectories", "rows", "values", "absolute", "relative"]
     assert list(fit["constants"]["B"]) == ["value", "sd", "interval", "start", "per_member"]
     assert list(fit["members"][0]) == [
-        *["seed", "loss", "rmse", "seconds", "stages", "member", "files", "interval_loss", "channels"]
+        *["seed", "loss", "rmse", "seconds", "stages", "member", "files", "interval_loss", "channels", "freedom"]
     ]
     assert list(fit["members"][0]["channels"]["x1"]) == [
         *("r2", "naive", "predictor", "held", "values", "weight"),
