@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectory
 
-Integers = NDArray[np.int64]
-
 
 def fingerprint(trajectory: Trajectory) -> str:
     """The SHA-256 (hexadecimal) of a trajectory without its label: start, times, values, conditions, inputs, doses.
@@ -46,26 +44,27 @@ def beginnings(items: Sequence[Trajectory]) -> list[list[int | str]]:
     return [[rows, beginning(item, rows)] for rows, item in zip(counts, items, strict=True)]
 
 
-def continued(known: object, item: Trajectory) -> tuple[int, int] | None:
-    """Which of the trajectories that are `known` by their `beginnings` a trajectory begins with, and the number of rows
-    up to the last one of these; the longest, if it begins with several. A single row is no beginning."""
-    if not isinstance(known, list):
-        return None
-    measured = measured_rows(item)
-    table = {(rows, content): place for place, (rows, content) in enumerate(known)}
-    for rows in sorted({int(rows) for rows, _ in known if 2 <= rows <= len(measured)}, reverse=True):
-        place = table.get((rows, beginning(item, rows)))
-        if place is not None:
-            return place, int(measured[rows - 1]) + 1
-    return None
+def continued(known: object, items: Sequence[Trajectory]) -> list[tuple[int, int] | None]:
+    """Which of the trajectories that are `known` by their `beginnings` each one begins with, and the number of rows up
+    to the last one of these; the longest, if it begins with several. A single row is no beginning."""
+    listed = known if isinstance(known, list) else []
+    table = {(rows, content): place for place, (rows, content) in enumerate(listed)}
+    counts = sorted({int(rows) for rows, _ in table if rows >= 2}, reverse=True)
+    out: list[tuple[int, int] | None] = []
+    for item in items:
+        measured = measured_rows(item)
+        fitting = (rows for rows in counts if rows <= len(measured))
+        rows = next((rows for rows in fitting if (rows, beginning(item, rows)) in table), None)
+        out.append(None if rows is None else (table[rows, beginning(item, rows)], int(measured[rows - 1]) + 1))
+    return out
 
 
-def measured_rows(trajectory: Trajectory) -> Integers:
+def measured_rows(trajectory: Trajectory) -> NDArray[np.int64]:
     """The rows of a trajectory that have a measurement."""
     return np.flatnonzero((trajectory.counts > 0).any(axis=1))
 
 
-def _measured(trajectory: Trajectory, rows: Integers) -> list[Array]:
+def _measured(trajectory: Trajectory, rows: NDArray[np.int64]) -> list[Array]:
     """Start, condition, and what some rows measure."""
     parts: list[Array] = [
         np.array([trajectory.start]),

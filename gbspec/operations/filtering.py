@@ -55,16 +55,16 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
-    model, ranges, beginnings = run.model, Trained.of(run), run.member(run.best).info.get("beginnings")
+    model, ranges = run.model, Trained.of(run)
+    known = continued(run.member(run.best).info.get("beginnings"), data.items)
     items: list[PredictedTrajectory] = []
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
-    for item, one in zip(data.items, filtered.smoothed(), strict=True):
+    for item, longer, one in zip(data.items, known, filtered.smoothed(), strict=True):
         rows = item.times >= item.start
         log = np.concatenate([one.log_channels, one.log[hidden]])
         mean = np.concatenate([one.channels, one.states[:, hidden]], axis=1)
         sd = np.concatenate([one.channel_sd, one.state_sd[:, hidden]], axis=1)
         values = np.concatenate([item.values[rows], np.full((len(mean), len(hidden)), np.nan)], axis=1)
-        longer = continued(beginnings, item)
         trained = 0 if longer is None else int(np.count_nonzero(rows[: longer[1]]))
         used = _uses(np.isfinite(item.values[rows]), window, trained)
         first = one.states[0] if len(one.states) else np.full(len(model.states), np.nan)

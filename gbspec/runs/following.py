@@ -51,8 +51,8 @@ def autocorrelated(
 
 
 def said_of_training(members: Collection[MemberRecord]) -> list[str]:
-    """What predictions of new rows are told of the channels that no member follows in the training data, or of which
-    all members leave autocorrelated residuals."""
+    """Warnings for predictions of new rows: of the channels that no member follows in the training data, and of those
+    of which all members leave autocorrelated residuals."""
     found = [member.channels for member in members if member.channels]
     if not found:
         return []

@@ -23,14 +23,20 @@ def decay(label: str, rate: float, rows: int = len(TIMES), seed: int = 0) -> Tra
     return trajectory(label, 0.0, TIMES[:rows], values[:rows, None], [])
 
 
+def begins(known: object, item: Trajectory) -> tuple[int, int] | None:
+    """What one trajectory begins with."""
+    (found,) = continued(known, [item])
+    return found
+
+
 def test_the_longest_beginning_is_found_whatever_follows() -> None:
     known = beginnings([decay("a", 0.3, 3), decay("b", 0.3, 5), decay("c", 0.5, 4), decay("d", 0.7, 1)])
-    assert continued(known, decay("x", 0.3)) == (1, 5)
-    assert continued(known, decay("x", 0.5)) == (2, 4)
-    assert continued(known, decay("x", 0.7)) is None, "one row is no beginning"
-    assert continued(known, decay("x", 0.3, seed=1)) is None
-    assert continued(known, decay("x", 0.3, 4)) == (0, 3)
-    assert continued(None, decay("x", 0.3)) is None, "an older run does not know"
+    assert begins(known, decay("x", 0.3)) == (1, 5)
+    assert begins(known, decay("x", 0.5)) == (2, 4)
+    assert begins(known, decay("x", 0.7)) is None, "one row is no beginning"
+    assert begins(known, decay("x", 0.3, seed=1)) is None
+    assert begins(known, decay("x", 0.3, 4)) == (0, 3)
+    assert begins(None, decay("x", 0.3)) is None, "an older run does not know"
 
 
 def test_inputs_and_doses_that_go_on_and_rows_without_a_value_change_no_beginning() -> None:
@@ -44,12 +50,12 @@ def test_inputs_and_doses_that_go_on_and_rows_without_a_value_change_no_beginnin
         longer, values=values, counts=counts, inputs=(Signal(TIMES, np.ones(10)),),
         doses=(DoseEvents(np.array([1.0, 6.0]), np.array([2.0, 2.0])),),
     )  # fmt: skip
-    assert continued(known, ahead) == (0, 4)
+    assert begins(known, ahead) == (0, 4)
     for other in (
         replace(ahead, inputs=(Signal(TIMES, np.full(10, 2.0)),)),
         replace(ahead, doses=(DoseEvents(np.array([1.0]), np.array([20.0])),)),
     ):
-        assert continued(known, other) is None, "what acted until then is another"
+        assert begins(known, other) is None, "what acted until then is another"
 
 
 TWO = """model two

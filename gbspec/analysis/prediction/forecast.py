@@ -18,9 +18,7 @@ from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.far_outside import said_of_states
 from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import (
-    Start,
-)
+from gbspec.analysis.prediction.solutions import Start
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import first_rows, window_rows
 from gbspec.arrays import Array, Mask
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
 
 Use = Literal["training", "window", "predicted"]
 """The use of a row: in training, in the estimation of the initial state, or none."""
-
 
 ENOUGH, REFUTED = 10, 0.6
 """Of at least so many measurements fewer than this share lie inside 90 % intervals where a warning is given. It is a
@@ -213,9 +210,9 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     third of them, at least three). Initial values that the first row measures are then estimated too, unless the window
     is that row alone; without `window` they are taken from it. A trajectory of the training data, recognised by
     content, has its learned initial state, and without `window` also one that begins with all rows of such a one and
-    goes on. The interval is that of a new measurement: it includes the variance over the
-    members, the (linearised) uncertainties of the estimates and of the learned model (not for trajectories of the
-    training data, whose starts were learned with it), and the noise that the fit estimated.
+    goes on. The interval is that of a new measurement: it includes the variance over the members, the (linearised)
+    uncertainties of the estimates and of the learned model (not for trajectories of the training data, whose starts
+    were learned with it), and the noise that the fit estimated.
 
     Raises ComputationError if no trajectory can be solved.
     """

@@ -68,9 +68,9 @@ class MemberPredictions:
         self.estimator = estimator_of(evaluator, run.model, run.fit, scales, released)
         self.scales = scales
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
-        known = evaluator.instance.info.get("beginnings")
-        pairs = zip(trajectories.items, self.positions, strict=True)
-        self.longer = [continued(known, item) if position is None else None for item, position in pairs]
+        longer = continued(evaluator.instance.info.get("beginnings"), trajectories.items)
+        pairs = zip(longer, self.positions, strict=True)
+        self.longer = [found if position is None else None for found, position in pairs]
         self.displaced = Displaced(evaluator.instance, covariance, frozenset(run.values))
 
     @cached_property

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import polars as pl
 
 from gbspec.frames import Shown, of_rows
+from gbspec.runs import NORMAL_90
 from gbspec.training.profile.agreement import Comparison
 
-THRESHOLD = 2.705543454095404
+THRESHOLD = NORMAL_90**2
 """The 90 % point of chi-squared with one degree of freedom, as of data whose noise is known."""
 
 

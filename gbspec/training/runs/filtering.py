@@ -210,11 +210,9 @@ def _places(instance: GeneratedModule, trajectories: Trajectories, going_on: boo
     """Which trajectory of the training each one is or, with `going_on`, begins with; None for new ones."""
     found = instance.info.get("fingerprints")
     learned = {str(mark): i for i, mark in enumerate(found if isinstance(found, list) else [])}
-    out: list[int | None] = []
-    for item in trajectories.items:
-        longer = continued(instance.info.get("beginnings"), item) if going_on else None
-        out.append(learned.get(fingerprint(item), None if longer is None else longer[0]))
-    return out
+    longer = continued(instance.info.get("beginnings") if going_on else None, trajectories.items)
+    pairs = zip(trajectories.items, longer, strict=True)
+    return [learned.get(fingerprint(item), None if found is None else found[0]) for item, found in pairs]
 
 
 def _measured_place(engine: FilterEngine) -> Integers:
