@@ -151,7 +151,9 @@ class LevenbergMarquardt:
             unit = np.zeros(parameters.size)
             unit[parameters.n_weights + i] = 1.0
             inverse[i] = equations.invert(unit, weak)[parameters.n_weights : parameters.n_shared]
-        local = equations.local_variances(weak)
+        local = np.full((parameters.trajectories, parameters.n_local), np.nan)
+        if parameters.own or not parameters.n_weights:  # what takes a solution for each entry, and nothing else needs
+            local = equations.local_variances(weak)
         freedom = _used(equations, np.diag(inverse), local, weak)
         variance = noise_variance(engine.problem, residuals, delta, freedom)
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.places])
