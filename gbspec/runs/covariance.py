@@ -78,13 +78,24 @@ class Covariance:
         weaker = 1.0 / (1.0 + (1.0 / shares - 1.0) / factor**2)
         return replace(self, shares=weaker, conditional=self.conditional * factor**2)
 
-    def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """A random displacement of the weights [n] and of the constants [k]."""
-        normal = rng.standard_normal(self.vectors.shape[1])
+    def displacements(self, rng: np.random.Generator, most: int) -> list[tuple[Array, Array]]:
+        """At most this many displacements of the weights [n] and of the constants [k], whose mean outer product is the
+        covariance: exactly so for no more parameters than that, by columns of a square root, and otherwise expected of
+        random draws."""
+        count = self.vectors.shape[1] + len(self.constants)
+        if count > most:
+            return [self._displaced(rng.standard_normal(count)) for _ in range(most)]
+        columns = [self._displaced(column) for column in np.eye(count)]
+        moving = [(w, k) for w, k in columns if w.any() or k.any()]
+        return [(np.sqrt(len(moving)) * w, np.sqrt(len(moving)) * k) for w, k in moving]
+
+    def _displaced(self, normal: Array) -> tuple[Array, Array]:
+        """A square root of the covariance times `normal` [n + k], of the weights [n] and of the constants [k]."""
+        normal, of_constants = np.split(normal, [self.vectors.shape[1]])
         inside = self.vectors @ normal
         weights = self.spread * (normal + (inside * (np.sqrt(self.shares) - 1.0)) @ self.vectors)
         values, vectors = np.linalg.eigh(self.conditional) if len(self.constants) else (np.zeros(0), np.zeros((0, 0)))
-        own = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(values)))
+        own = vectors @ (np.sqrt(np.maximum(values, 0.0)) * of_constants)
         return weights, np.asarray(own - self.coupling @ weights, dtype=np.float64)
 
 

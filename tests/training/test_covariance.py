@@ -59,15 +59,42 @@ def test_it_is_the_inverse_of_the_normal_matrix(text: str, dense: bool, monkeypa
         assert deviation >= exact * (1 - 1e-9)
 
 
+def six_parameters() -> Covariance:
+    """A covariance of five weights, two directions of which the data show, and of a constant coupled to them."""
+    vectors = np.linalg.qr(np.random.default_rng(0).standard_normal((5, 2)))[0].T
+    return Covariance(("w",), ("k",), 0.5, vectors, np.array([0.1, 0.01]), np.ones((1, 5)), np.array([[0.2]]))
+
+
+def mean_squares(known: Covariance, most: int) -> np.ndarray:
+    drawn = np.array([np.concatenate(one) for one in known.displacements(np.random.default_rng(1), most)])
+    assert len(drawn) <= most
+    return drawn.T @ drawn / len(drawn)
+
+
 def test_displacements_are_drawn_from_it() -> None:
-    rng = np.random.default_rng(0)
-    vectors = np.linalg.qr(rng.standard_normal((5, 2)))[0].T
-    known = Covariance(("w",), ("k",), 0.5, vectors, np.array([0.1, 0.01]), np.ones((1, 5)), np.array([[0.2]]))
-    drawn = [np.concatenate(known.draw(rng)) for _ in range(4000)]
-    sample = np.cov(np.array(drawn).T)
+    known = six_parameters()
+    chunks = [known.displacements(np.random.default_rng(seed), 5) for seed in range(800)]
+    drawn = np.array([np.concatenate(one) for chunk in chunks for one in chunk])
+    sample = drawn.T @ drawn / len(drawn)
     for derivative in np.eye(6):
         (deviation,) = known.deviations(derivative[None, :5], derivative[None, 5:])
         assert np.sqrt(sample @ derivative @ derivative) == pytest.approx(deviation, rel=0.1)
+
+
+def test_few_parameters_are_displaced_along_a_square_root_of_it() -> None:
+    known = six_parameters()
+    sample = mean_squares(known, 16)
+    for derivative in np.random.default_rng(2).standard_normal((9, 6)):
+        (deviation,) = known.deviations(derivative[None, :5], derivative[None, 5:])
+        assert np.sqrt(sample @ derivative @ derivative) == pytest.approx(deviation, rel=1e-12)
+
+
+def test_a_constant_without_variance_costs_no_displacement() -> None:
+    conditional = np.diag([0.2, 0.0, 0.3])
+    empty = np.zeros((0, 0))
+    known = Covariance((), ("a", "b", "c"), 1.0, empty, np.zeros(0), np.zeros((3, 0)), conditional)
+    assert len(known.displacements(np.random.default_rng(0), 16)) == 2
+    assert mean_squares(known, 16) == pytest.approx(conditional, abs=1e-14)
 
 
 def test_weaker_data_leave_more_of_the_prior() -> None:

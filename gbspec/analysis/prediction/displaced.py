@@ -1,9 +1,9 @@
 """The uncertainty of predictions from that of the learned model: solutions of displaced members.
 
-Weights and shared constants are displaced by random draws from their covariance, all of them shortened by the same
-factor, so that solutions stay near the linear range and none blows up, in both directions: what is quadratic cancels in
-the difference of both. The mean square of half of it, over the square of the factor, is the variance of the linearised
-model.
+Weights and shared constants are displaced along the columns of a square root of their covariance, or, where there are
+more of them, by random draws from it; all of them shortened by the same factor, so that solutions stay near the linear
+range and none blows up, in both directions: what is quadratic cancels in the difference of both. The mean square of
+half of it, over the square of the factor, is the variance of the linearised model.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from gbspec.runs import Covariance
 
 DRAWS = 16
-"""Pairs of displaced members; the standard deviation has a relative error of 1 / sqrt(2 DRAWS) = 18 %."""
+"""The most pairs of displaced members; where draws are needed, the standard deviation has a relative error of
+1 / sqrt(2 DRAWS) = 18 %."""
 SMALL, OF_CONSTANTS = 1e-4, 1e-2
 """The factors by which the draws are shortened, with networks and without: most of a network's weights are hardly
 determined, so that whole draws, and even twentieths of them, leave the linear range. In one direction alone the
@@ -76,8 +77,7 @@ class Displaced:
             return Evaluator(type(self.member)(moved, self.member.info)), change
 
         small = self._small
-
-        draws = [covariance.draw(rng) for _ in range(DRAWS)]
+        draws = covariance.displacements(rng, DRAWS)
         return [[displaced(sign * small * w, sign * small * k) for sign in (1.0, -1.0)] for w, k in draws]
 
     def variance(self, start: Start, variables: Array, solve: Solve, refitted: Refit = unchanged) -> Array:
