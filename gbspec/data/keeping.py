@@ -28,6 +28,8 @@ def to_arrays(trajectories: Trajectories) -> tuple[dict[str, Array], dict[str, o
         before = () if item.run_in is None else (item.run_in.interval, float(item.run_in.doses))
         if item.limits is not None:
             arrays |= {f"{i}.limits": item.limits.value, f"{i}.side": item.limits.side.astype(np.float64)}
+        if item.scatter is not None:
+            arrays[f"{i}.scatter"] = item.scatter
         arrays[f"{i}.start"] = np.array([item.start, *before])
         for j, signal in enumerate(item.inputs):
             arrays |= {f"{i}.input.{j}.times": signal.times, f"{i}.input.{j}.values": signal.values}
@@ -46,6 +48,7 @@ def from_arrays(
             start=float(arrays[f"{i}.start"][0]),
             run_in=_run_in(arrays[f"{i}.start"]),
             limits=_limits(arrays, i),
+            scatter=arrays.get(f"{i}.scatter"),
             condition=arrays[f"{i}.condition"],
             inputs=tuple(
                 Signal(arrays[f"{i}.input.{j}.times"], arrays[f"{i}.input.{j}.values"]) for j in range(inputs)

@@ -93,7 +93,7 @@ def _cut(
     table: Records, model: Model, measured_only: bool, conditions: Array, given: Sequence[Given]
 ) -> tuple[Trajectory, ...]:
     """The trajectories of valid records, in the order of their first rows."""
-    values, counts, sd, limits = _measurements(table, len(model.channels))
+    values, counts, sd, scatter, limits = _measurements(table, len(model.channels))
     starts = starts_of(table, model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
     inputs = [_pieces(table, i) for i in range(len(model.inputs))]
@@ -129,20 +129,21 @@ def _cut(
                 doses=given[g].doses,
                 run_in=run_in,
                 limits=limits.rows(rows) if limits is not None and limits.side[rows].any() else None,
+                scatter=scatter[rows] if (counts[rows] > 1).any() else None,
             )
         )
     return tuple(items)
 
 
-def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, Limits | None]:
-    """Values, numbers of measurements and standard deviations at each key, [keys, channels]; replicates averaged; and
-    limits, which have no value (None without any).
+def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, Array, Limits | None]:
+    """Values, numbers of measurements, standard deviations and scatter at each key, [keys, channels]; replicates
+    averaged; and limits, which have no value (None without any).
 
     The standard deviation of an average of n is sqrt(sum of squares)/n; it is given if all of them have one.
     """
     size = len(table.time)
     values, counts = np.full((size, channels), np.nan), np.zeros((size, channels))
-    sd = np.full((size, channels), np.nan)
+    sd, scatter = np.full((size, channels), np.nan), np.zeros((size, channels))
     limits: Limits | None = None
     if any(cells.side is not None for cells in table.series.values()):
         limits = Limits(np.full((size, channels), np.nan), np.zeros((size, channels), dtype=np.int8))
@@ -159,12 +160,14 @@ def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, L
             variance = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
             values[several, c] = mean[several] / counts[several, c]
             sd[several, c] = np.sqrt(variance[several]) / counts[several, c]
+            off = (cells.value - values[cells.key, c]) ** 2
+            scatter[several, c] = np.bincount(cells.key, weights=off, minlength=size)[several]
         if cells.side is not None and limits is not None:
             censored = cells.side != 0
             limits.side[cells.key, c] = cells.side
             limits.value[cells.key[censored], c] = cells.value[censored]
             values[cells.key[censored], c] = np.nan
-    return values, counts, sd, limits
+    return values, counts, sd, scatter, limits
 
 
 def _conditions(table: Records, model: Model) -> Array:

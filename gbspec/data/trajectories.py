@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data.columns import TRAJECTORY, Form
 from gbspec.frames import Tabled, counted
 
@@ -70,7 +70,8 @@ class Trajectory:
     deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and `doses` follow the
     model's order. `end` is the last of `times`. `run_in`: with what the time from `start` to `begins` is filled, so
     that a steady state is reached; None without one. `limits` are its censored entries, which have no value and count
-    as one measurement; None without any.
+    as one measurement; None without any. `scatter` [R, C] is the sum of squared deviations of an entry's replicates
+    from their average; None without replicates.
     """
 
     label: str
@@ -84,6 +85,19 @@ class Trajectory:
     doses: tuple[DoseEvents, ...] = ()
     run_in: RunIn | None = None
     limits: Limits | None = None
+    scatter: Array | None = None
+
+    def at_rows(self, chosen: slice | Mask) -> Trajectory:
+        """The trajectory with some of its rows; what is not measured stays."""
+        return replace(
+            self,
+            times=self.times[chosen],
+            values=self.values[chosen],
+            counts=self.counts[chosen],
+            sd=self.sd[chosen],
+            limits=None if self.limits is None else self.limits.rows(chosen),
+            scatter=None if self.scatter is None else self.scatter[chosen],
+        )
 
     @property
     def censored(self) -> Limits:

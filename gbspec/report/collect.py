@@ -102,7 +102,7 @@ def at_times(item: Trajectory, times: Array) -> Trajectory:
     """The trajectory with other rows: its conditions, inputs and doses at `times` [T], nothing measured."""
     shape = (len(times), item.values.shape[1])
     nothing = np.full(shape, np.nan)
-    return replace(item, times=times, values=nothing, counts=np.zeros(shape), sd=nothing, limits=None)
+    return replace(item, times=times, values=nothing, counts=np.zeros(shape), sd=nothing, limits=None, scatter=None)
 
 
 def dense_times(item: Trajectory) -> Array:

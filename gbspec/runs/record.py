@@ -127,7 +127,8 @@ class ChannelRecord:
     `values` is the number of measured values, `weight` that of a squared error, in units of the variance of the data.
     If the channel is weighed by a noise that the fit estimated, `noise` is its standard deviation, and `share` the
     share of the values that count. `outliers` is the number of residuals far from all others, if these leave most of
-    the sum of squares.
+    the sum of squares. `lack_of_fit` is the probability that averages of replicates are so far from the solutions by
+    the error of measurement that replicates show; None without replicates.
     """
 
     r2: float | None
@@ -141,6 +142,7 @@ class ChannelRecord:
     autocorrelation: float | None = field(default=None, metadata=OMITTED)
     pairs: int = 0
     outliers: int | None = field(default=None, metadata=OMITTED)
+    lack_of_fit: float | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

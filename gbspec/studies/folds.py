@@ -81,7 +81,7 @@ def _stretch(rows: int, number: int, count: int) -> np.ndarray[tuple[int], np.dt
 
 def _without(item: Trajectory, held: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Trajectory:
     """The trajectory without these rows; its initial time is kept, so that its first block can be predicted."""
-    return replace(item, **{name: getattr(item, name)[~held] for name in ("times", "values", "counts", "sd")})
+    return item.at_rows(~held)
 
 
 def _cannot(message: str, help: str) -> UserError:

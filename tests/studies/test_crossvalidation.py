@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 
 import gbspec
 from gbspec.cli.app import build
-from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.data.trajectories import Limits, Trajectories, Trajectory
 from gbspec.diagnostics import UserError
 from gbspec.ir.residual import residuals
 from gbspec.studies.folds import folds, way
@@ -59,6 +60,18 @@ def test_a_single_trajectory_is_cut_into_stretches_and_keeps_its_start() -> None
         assert (np.diff(rows) == 1).all()
         kept = part.kept.items[0]
         assert kept.start == 0.0 and set(kept.values[:, 0]) == set(range(21)) - set(rows)
+
+
+def test_limits_and_scatter_stay_with_their_rows() -> None:
+    (item,) = data(1, 10).items
+    side = np.zeros((10, 1), dtype=np.int8)
+    side[7] = -1
+    scatter = np.arange(10.0)[:, None]
+    censored = replace(item, limits=Limits(np.where(side != 0, 0.1, np.nan), side), scatter=scatter)
+    for part in folds(replace(data(1, 10), items=(censored,)), "time", 5, 0):
+        kept, rows = part.kept.items[0], np.flatnonzero(~part.held[0])
+        assert np.array_equal(np.flatnonzero(kept.censored.side), np.flatnonzero(rows == 7))
+        assert kept.scatter is not None and np.array_equal(kept.scatter[:, 0], rows)
 
 
 @pytest.mark.parametrize(

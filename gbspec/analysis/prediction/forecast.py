@@ -20,7 +20,7 @@ from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import Start
 from gbspec.analysis.prediction.trained import Trained
-from gbspec.analysis.prediction.window import first_rows, window_rows
+from gbspec.analysis.prediction.window import window_rows
 from gbspec.arrays import Array, Mask
 from gbspec.data import TRAJECTORY, present_values
 from gbspec.diagnostics import ComputationError
@@ -343,7 +343,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     start = replace(first, state=np.mean([v.prediction.start.state for v in views], axis=0))
     estimated: tuple[str, ...] = ()
     if start.origin == "estimated":
-        free = each[0].estimator.free(first_rows(item, rows))
+        free = each[0].estimator.free(item.at_rows(slice(rows)))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
     used = uses(len(item.times), trained, 0 if position is not None or goes_on else rows)

@@ -20,7 +20,6 @@ from gbspec.analysis.prediction.solutions import (
     predict,
     started,
 )
-from gbspec.analysis.prediction.window import first_rows
 from gbspec.arrays import Array
 from gbspec.data import continued
 from gbspec.ir import slopes
@@ -81,7 +80,8 @@ class MemberPredictions:
     def view(self, index: int, rows: int, goes_on: bool) -> View:
         """The prediction of a trajectory from its first `rows` rows; `goes_on`: these are one of the training data, of
         which the start was learned."""
-        item, seen = self.trajectories.items[index], first_rows(self.trajectories.items[index], rows)
+        item = self.trajectories.items[index]
+        seen = item.at_rows(slice(rows))
         start, estimator = self._start(index, seen, goes_on)
         found, variables = self._solve(item, start)
         variance = np.zeros_like(variables)

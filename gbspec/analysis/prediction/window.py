@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,12 +11,6 @@ if TYPE_CHECKING:
 
 SHARE, LEAST = 3, 3
 """The default window: one third (1/`SHARE`) of the measured rows, but at least `LEAST`."""
-
-
-def first_rows(item: Trajectory, rows: int) -> Trajectory:
-    """The trajectory truncated to what its first `rows` rows contain."""
-    kept = {name: getattr(item, name)[:rows] for name in ("times", "values", "counts", "sd")}
-    return replace(item, **kept)
 
 
 def window_rows(item: Trajectory, fixed: bool, window: int | None) -> int:

@@ -396,10 +396,12 @@ def moved(engine: Engine, theta: Array, change: Array) -> float:
 
 
 def noise_variance(problem: Problem, residuals: Array, delta: float, freedom: float) -> float:
-    """Residual variance, corrected for the degrees of freedom that the fit used."""
+    """Variance of residuals and of replicates about their averages, corrected for the degrees of freedom that the fit
+    used."""
     squares, counts = problem.noise_terms(residuals)
+    scatter, more = (float(part.sum()) for part in problem.replicates)
     weights, count = huber_weights(residuals, problem.limit(delta)), float(counts.sum())
-    return float(np.sum(weights * squares)) / max(count - freedom, 0.1 * count, 1.0)
+    return (float(np.sum(weights * squares)) + scatter) / (max(count - freedom, 0.1 * count, 1.0) + more)
 
 
 def evidence(

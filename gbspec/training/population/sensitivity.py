@@ -147,6 +147,7 @@ def repacked(packed: Packed, times: int, doses: tuple[int, ...]) -> Packed:
     own, (pick, kind) = packed.doses, _moving(packed, doses)
     known = tuple(own.known[i] for i in doses)
     table = replace(own, owner=own.owner[pick], kind=kind, time=own.time[pick], amount=own.amount[pick], known=known)
-    values, weights, sd = (np.tile(part, (1, times)) for part in (packed.values, packed.weights, packed.sd))
+    of_rows = packed.values, packed.weights, packed.sd, packed.scatter
+    values, weights, sd, scatter = (np.tile(part, (1, times)) for part in of_rows)
     limits = Limits(np.tile(packed.limits.value, (1, times)), np.tile(packed.limits.side, (1, times)))
-    return replace(packed, doses=table, values=values, weights=weights, sd=sd, limits=limits)
+    return replace(packed, doses=table, values=values, weights=weights, sd=sd, scatter=scatter, limits=limits)

@@ -44,8 +44,9 @@ class Packed:
     Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
     trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
     measured), `weights` [R, C] (square root of the count; 0: not measured), `sd` [R, C] (NaN: none given),
-    `row_inputs` [R, n_inputs], `limits` of censored entries, which have no value and the weight 1. A dose is added to
-    the state after a measurement at the same time.
+    `scatter` [R, C] (sum of squared deviations of replicates from their average), `row_inputs` [R, n_inputs], `limits`
+    of censored entries, which have no value and the weight 1. A dose is added to the state after a measurement at the
+    same time.
     """
 
     t: Array
@@ -62,6 +63,7 @@ class Packed:
     values: Array
     weights: Array
     sd: Array
+    scatter: Array
     row_inputs: Array
     limits: Limits
     doses: DoseTable
@@ -147,6 +149,7 @@ class Packed:
             values=self.values[rows],
             weights=self.weights[rows],
             sd=self.sd[rows],
+            scatter=self.scatter[rows],
             row_inputs=self.row_inputs[rows],
             limits=self.limits.rows(rows),
             doses=self.doses.take(index),
@@ -227,6 +230,7 @@ def pack(
         values=rows([plan.values for plan in plans], channels),
         weights=rows([plan.weights for plan in plans], channels),
         sd=rows([plan.sd for plan in plans], channels),
+        scatter=rows([plan.scatter for plan in plans], channels),
         row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
         limits=Limits(
             rows([plan.limits.value for plan in plans], channels),
@@ -250,6 +254,7 @@ class _Plan:
     values: Array
     weights: Array
     sd: Array
+    scatter: Array
     row_inputs: Array
     limits: Limits
 
@@ -291,8 +296,9 @@ def _plan(
     values, sd = item.values[kept], item.sd[kept]
     limits = item.censored.rows(np.flatnonzero(kept))
     weights = np.where(limits.side != 0, 1.0, weights_of(values, item.counts[kept]))
+    scatter = np.zeros(values.shape) if item.scatter is None else item.scatter[kept]
     inputs, at_rows = _step_inputs(item, model, t, h, nodes), _row_inputs(item, model, keys)
-    return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows, limits)
+    return _Plan(t, h, inputs, row_step, keys, values, weights, sd, scatter, at_rows, limits)
 
 
 def _split(interval: float, max_step: float, rng: np.random.Generator | None) -> Array:

@@ -82,6 +82,19 @@ class Problem:
         squares, counts = self.censored.noise_terms(residuals, self.seen)
         return squares, counts * self.shares
 
+    @cached_property
+    def replicates(self) -> tuple[Array, Array]:
+        """Sums of squares [C] of replicates' deviations from their averages, in units of the scales of the noise, and
+        their degrees of freedom [C]: noise without any error of the model (Draper and Smith, Applied Regression
+        Analysis, 1998, 2.1)."""
+        several = self.valued & (self.packed.weights > 1.0)
+        unit = self.scaling.row_scale
+        if self.scaling.share is not None:
+            unit = unit * np.sqrt(self.scaling.share)
+        mean = np.where(self.scaling.log & several, self.packed.values, 1.0)  # d log y = dy / y
+        squares = np.where(several, self.packed.scatter / (unit * mean) ** 2, 0.0)
+        return squares.sum(axis=0), np.where(several, self.packed.weights**2 - 1.0, 0.0).sum(axis=0)
+
     def of_noise(self, residuals: Array) -> Array:
         """Residuals of the measured values [m] that have the standard deviation of the noise."""
         return residuals if self.scaling.share is None else residuals / np.sqrt(self.shares)

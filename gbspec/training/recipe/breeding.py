@@ -72,6 +72,7 @@ def _begun_earlier(item: Trajectory) -> Trajectory:
         values=below(item.values, np.nan),
         counts=below(item.counts, 0.0),
         sd=below(item.sd, np.nan),
+        scatter=None if item.scatter is None else below(item.scatter, 0.0),
         limits=None if item.limits is None else Limits(below(item.limits.value, np.nan), _unlimited(item.limits.side)),
     )
 

@@ -245,13 +245,10 @@ def split(trajectories: Trajectories, fraction: float, seed: int) -> tuple[Traje
         count = int(np.clip(round(fraction * len(trajectories)), 1, len(trajectories) - 1))
         drawn = np.random.default_rng([seed, 41]).permutation(len(trajectories))
         return trajectories.subset(sorted(drawn[count:].tolist())), trajectories.subset(sorted(drawn[:count].tolist()))
-    from dataclasses import replace
-
     item = trajectories.items[0]
     rows = len(item.times)
     cut = int(np.clip(round((1 - fraction) * rows), min(2, rows), max(rows - 1, 1)))
-    part = {name: getattr(item, name)[:cut] for name in ("times", "values", "counts", "sd")}
-    return replace(trajectories, items=(replace(item, **part),)), trajectories
+    return replace(trajectories, items=(item.at_rows(slice(cut)),)), trajectories
 
 
 def state_scales(model: Model, packed: Packed, trajectories: Trajectories) -> Array:

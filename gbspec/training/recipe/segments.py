@@ -76,13 +76,11 @@ def cut(trajectories: Trajectories, rows: int, everywhere: bool) -> tuple[Trajec
 def _part(item: Trajectory, low: int, high: int) -> Trajectory:
     """Rows `low` to `high` of a trajectory, from its start if `low` is 0."""
     start = item.start if low == 0 else float(item.times[low])
-    rows = {name: getattr(item, name)[low:high] for name in ("times", "values", "counts", "sd")}
     doses = tuple(
         replace(d, times=d.times[d.times >= start], amounts=d.amounts[d.times >= start]) if low else d
         for d in item.doses
     )
-    limits = None if item.limits is None else item.limits.rows(slice(low, high))
-    return replace(item, start=start, doses=doses, limits=limits, **rows)
+    return replace(item.at_rows(slice(low, high)), start=start, doses=doses)
 
 
 def divisible(model: Model) -> bool:

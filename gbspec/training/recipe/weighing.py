@@ -2,8 +2,9 @@
 
 This is iteratively reweighted least squares, which maximises the likelihood with the channels' standard deviations
 concentrated out (Seber and Wild, Nonlinear Regression, 1989, 2.2.5 and 11.2). Each channel's variance is the sum of its
-squared residuals over the number of its values less the degrees of freedom that the fit has taken from it. Residuals
-that follow one another count less: of n values with a correlation c of successive residuals, n (1 - c) / (1 + c) count.
+squared residuals over the number of its values less the degrees of freedom that the fit has taken from it; both have
+what replicates differ by from their averages. Residuals that follow one another count less: of n values with a
+correlation c of successive residuals, n (1 - c) / (1 + c) count.
 
 A dense channel that the model cannot follow exactly would bend a fit away from all others, whose noise would then be
 overestimated. So where numbers of values differ much, channels have other weights until then (see `first`).
@@ -146,13 +147,15 @@ def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> E
     if not free.any() or not np.isfinite(table[seen]).all():
         return None
     deviation = deviations(context.model, context.trajectories)
-    used = _used(engine, theta, ridge)
+    used, (scatter, more) = _used(engine, theta, ridge), problem.replicates
+    counted = np.ones(len(free)) if problem.scaling.share is None else problem.scaling.share
     noise, share = np.full(len(free), np.nan), np.ones(len(free))
     for i in np.flatnonzero(free):
         rows = in_time(problem, int(i))
         column = table[rows, i]
         left = max(len(column) - used[i], LEAST_LEFT * len(column), 1.0)
-        noise[i] = scale[i] * float(np.sqrt(np.sum(limited(column) ** 2) / left))
+        squares = np.sum(limited(column) ** 2) + counted[i] * scatter[i]
+        noise[i] = scale[i] * float(np.sqrt(squares / (left + more[i])))
         share[i] = share_of(column, problem.packed.row_trajectory[rows])
     if (noise[free] <= CLEAN * deviation[free]).all():
         return None

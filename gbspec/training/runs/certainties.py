@@ -65,6 +65,7 @@ def _with_times_between(item: Trajectory) -> Trajectory:
         counts=spread(item.counts, 0.0),
         sd=spread(item.sd, np.nan),
         limits=None,
+        scatter=None,
     )
 
 

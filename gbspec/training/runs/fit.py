@@ -414,7 +414,11 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
     for member, result in sorted(results.items()):
         if result.failed:
             out.append(f"member {member}: {verdict.blown_up(result.failed)}")
-        left = [*verdict.verdicts(result.channels, model), *_of_residuals(result, options, model)]
+        left = [
+            *verdict.verdicts(result.channels, model),
+            *verdict.lacking(result.channels),
+            *_of_residuals(result, options, model),
+        ]
         left += verdict.above_stated(result.noise, model) if model is not None else []
         out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, present_values, states_far_outside, variance_of
@@ -37,6 +38,8 @@ from gbspec.training.stages import StageName
 
 FAR, FEW, ENOUGH = 6.0, 0.05, 20
 """Residuals beyond `FAR` robust deviations are far from all others, if they are at most `FEW` of at least `ENOUGH`."""
+REPLICATED = 3
+"""So many degrees of freedom of replicates say how large the error of measurement is."""
 
 
 @dataclass
@@ -112,7 +115,9 @@ def summarise(
     values = constants.numpy()[:, known:].mean(axis=0)
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
-    channels = _channels(context, parameters, theta, problem, solution.mean, fraction)
+    followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
+    lacking = (noise_of.lack_of_fit(column, i) for i, column in enumerate(seen.T))
+    channels = {name: replace(one, lack_of_fit=p) for (name, one), p in zip(followed.items(), lacking, strict=True)}
     lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
     return MemberResult(
         context.seed,
@@ -227,11 +232,13 @@ class _Noise:
     mean squared residual (with limited outliers), divided by the `share` of the degrees of freedom that the fit has not
     used. Otherwise each value was predicted from the previous one, and the noise is estimated from the median.
     `freedom` are those that are left, of the values as much as each counts; None where those used are not known.
+    `replicates` are the sums of squares and degrees of freedom [C] of what replicates differ by from their averages.
     """
 
     residuals: Array
     share: float | None
     freedom: float | None
+    replicates: tuple[Array, Array]
 
     @classmethod
     def of(
@@ -244,11 +251,12 @@ class _Noise:
         residuals = residuals if share is None else residuals / np.sqrt(share)
         values = engine.problem.noise_terms(residual_vector(engine, theta))[1]
         count, counted = float(np.sum(values / engine.problem.shares)), float(values.sum())
-        left = max(counted - freedom, 0.1 * counted, 1.0) if np.isfinite(freedom) else None
+        replicates = engine.problem.replicates
+        left = max(counted - freedom, 0.1 * counted, 1.0) + replicates[1].sum() if np.isfinite(freedom) else None
         if not whole or not count:
-            return cls(residuals, None, left)
+            return cls(residuals, None, left, replicates)
         used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
-        return cls(residuals, max(1 - used / count, 0.1, 1 / count), left)
+        return cls(residuals, max(1 - used / count, 0.1, 1 / count), left, replicates)
 
     def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:
         """The standard deviation of a channel's noise."""
@@ -256,8 +264,21 @@ class _Noise:
         column = column[np.isfinite(column)]
         if self.share is None or not len(column):
             return _robust_deviation(column)
+        scatter, more = (part[channel] for part in self.replicates)
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.sqrt(np.mean(limited(column) ** 2) / self.share))
+            squares = np.sum(limited(column) ** 2) + scatter
+            return float(np.sqrt(squares / (len(column) * self.share + more)))
+
+    def lack_of_fit(self, seen: NDArray[np.bool_], channel: int) -> float | None:
+        """The probability that averages differ from the solutions by so much more than replicates from each other, if
+        these have the whole error of measurement and the model is right: an F test (Draper and Smith, Applied
+        Regression Analysis, 1998, 2.1). None where there are hardly any replicates, or whole solutions were not fitted.
+        """
+        column, (scatter, more) = self.residuals[seen, channel], (part[channel] for part in self.replicates)
+        if self.share is None or more < REPLICATED or not scatter > 0 or not np.isfinite(column).all():
+            return None
+        left = max(len(column) * self.share, 1.0)
+        return float(fdtrc(left, more, np.sum(column**2) / left / (scatter / more)))
 
 
 def whole_solutions(context: Context, parameters: Parameters, stages: Sequence[str]) -> bool:

@@ -32,6 +32,9 @@ COLOURED = 1e-3
 """Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
 smaller probability."""
 
+UNLIKELY = 1e-2
+"""The model lacks something where its distances from averages of replicates have a smaller probability."""
+
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
     "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
@@ -63,6 +66,17 @@ def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) 
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
+
+
+def lacking(channels: Mapping[str, ChannelRecord]) -> list[str]:
+    """A warning for each channel of which the model lacks more than the error of measurement that replicates show."""
+    return [
+        f"averages of `{name}` are further from the solutions than its replicates from each other allow (p = "
+        f"{found.lack_of_fit:.1g}): the model lacks something that the data show, or replicates share an error, as "
+        "those of one sample do. Intervals contain what replicates show, not what is lacking"
+        for name, found in channels.items()
+        if found.lack_of_fit is not None and found.lack_of_fit < UNLIKELY and not not_followed(found)
+    ]
 
 
 def blown_up(labels: Sequence[str]) -> str:

@@ -1,0 +1,100 @@
+"""Replicates: their scatter is part of the noise, and shows whether the model lacks something."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import f
+
+import gbspec
+from gbspec import frontend
+from gbspec.data import Trajectories, from_arrays, to_arrays
+from gbspec.diagnostics import Findings
+from gbspec.operations.tables import read_data
+from gbspec.runs import FitRecord
+from gbspec.training.runs.verdict import lacking
+
+DECAY = """\
+model decay
+state y in [0, 20]
+learn A = 8 in [1, 20]
+learn k = 0.3 in [0.01, 5]
+y' = -k*y
+initial y = A
+observe y
+"""
+TIMES = np.repeat([0.0, 1.0, 2.0, 3.0, 5.0, 8.0], 4)
+
+
+def measured(path: Path, values: np.ndarray) -> Path:
+    """A table of the long layout."""
+    rows = [f"a,{t},y,{y}" for t, y in zip(TIMES, values, strict=True)]
+    path.write_text("\n".join(["trajectory,t,name,value", *rows]) + "\n")
+    return path
+
+
+def fitted(folder: Path, values: np.ndarray, model: str = DECAY) -> FitRecord:
+    (folder / "m.gb").write_text(model)
+    gbspec.load(folder / "m.gb").train(measured(folder / "d.csv", values), folder / "run")
+    return gbspec.open_run(folder / "run").run.fit
+
+
+def noisy(curve: np.ndarray) -> np.ndarray:
+    return curve + 0.3 * np.random.default_rng(1).standard_normal(len(TIMES))
+
+
+def test_constants_are_as_uncertain_as_if_replicates_were_values_of_their_own(tmp_path: Path) -> None:
+    values = noisy(10 * np.exp(-0.4 * TIMES))
+    fit = fitted(tmp_path, values)
+    each = least_squares(lambda p: p[0] * np.exp(-p[1] * TIMES) - values, [8, 0.3])
+    variance = 2 * each.cost / (len(values) - 2)
+    deviations = np.sqrt(variance * np.diag(np.linalg.inv(each.jac.T @ each.jac)))
+    for name, value, sd in zip(("A", "k"), each.x, deviations, strict=True):
+        assert fit.constants[name].value == pytest.approx(value, rel=1e-4)
+        assert fit.constants[name].sd == pytest.approx(sd, rel=1e-3)
+    assert fit.noise["y"] == pytest.approx(np.sqrt(variance), rel=1e-3)
+    assert fit.members[0].freedom == pytest.approx(22, abs=1e-3)
+    left = 2 * each.cost - sum(((one - one.mean()) ** 2).sum() for one in values.reshape(6, 4))
+    pure = (2 * each.cost - left) / 18
+    channels = fit.members[0].channels or {}
+    assert channels["y"].lack_of_fit == pytest.approx(f.sf(left / 4 / pure, 4, 18), rel=1e-3)
+    assert not [text for text in fit.warnings if "replicates" in text]
+
+
+def test_a_model_that_lacks_something_is_told_by_replicates(tmp_path: Path) -> None:
+    fit = fitted(tmp_path, noisy(3 + 7 * np.exp(-0.4 * TIMES)))
+    (said,) = [text for text in fit.warnings if "replicates" in text]
+    assert "averages of `y` are further from the solutions" in said
+    channels = fit.members[0].channels or {}
+    assert lacking({"y": replace(channels["y"], lack_of_fit=0.2)}) == []
+
+
+def test_logarithms_have_relative_scatter(tmp_path: Path) -> None:
+    values = 10 * np.exp(-0.4 * TIMES + 0.05 * np.random.default_rng(2).standard_normal(len(TIMES)))
+    fit = fitted(tmp_path, values, DECAY.replace("observe y", "learn s = 0.1 > 0\nobserve y noise lognormal(0.05)"))
+    channels = fit.members[0].channels or {}
+    assert channels["y"].lack_of_fit is not None
+    assert 0.01 < channels["y"].lack_of_fit < 0.99
+
+
+def test_scatter_is_read_cut_and_kept(tmp_path: Path) -> None:
+    (tmp_path / "m.gb").write_text(DECAY)
+    values = noisy(10 * np.exp(-0.4 * TIMES))
+    model = frontend.load_model(tmp_path / "m.gb", Findings())
+    data = read_data(measured(tmp_path / "d.csv", values), model, Findings())
+    (item,) = data.items
+    assert item.scatter is not None
+    expected = [((one - one.mean()) ** 2).sum() for one in values.reshape(6, 4)]
+    assert item.scatter[:, 0] == pytest.approx(expected)
+    part = item.at_rows(np.arange(6) % 2 == 0)
+    assert part.scatter is not None
+    assert part.scatter[:, 0] == pytest.approx(expected[::2])
+    arrays, remarks = to_arrays(data)
+    again = from_arrays(arrays, list(remarks["labels"]), list(remarks["channels"]), 0, 0)
+    assert isinstance(again, Trajectories)
+    assert again.items[0].scatter is not None
+    assert np.array_equal(again.items[0].scatter, item.scatter)
