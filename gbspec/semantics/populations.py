@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Iterator
 
 from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.table import Table
 from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import Kind, ast, target_name
+from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
 KINDS = ("lognormal", "normal", "logitnormal")
 """The distributions of constants between trajectories."""
@@ -61,8 +62,11 @@ class _Checks:
                 )
         self._correlations()
         self._noise()
+        others, remedy = self._with_a_likelihood()
+        if others:
+            self._values_of_their_own(others, remedy)
         if self.distributed or self.effects:
-            self._mixed()
+            self._learned_starts()
 
     def _groupings(self, statement: ast.LearnStatement) -> None:
         """Checks the columns by which a constant differs, and that its distributions are of one kind."""
@@ -273,18 +277,41 @@ class _Checks:
         for argument in statement.noise.arguments if statement.noise is not None else ():
             yield from self.numbers.sites[argument].references.names
 
-    def _mixed(self) -> None:
-        """Reports what is estimated for each trajectory beside a distribution, which has no likelihood of its own."""
+    def _with_a_likelihood(self) -> tuple[str, str]:
+        """What the marginal likelihood is needed for, and what may be written instead; empty without any."""
+        if self.distributed or self.effects:
+            return "others that have one", ""
+        statements = [item.statement for item in self.items]
+        if any(isinstance(statement, ast.DiffusionStatement) for statement in statements):
+            return "", ""  # these have a likelihood of their own, and no such noises
+        for statement in statements:
+            if not isinstance(statement, ast.ObserveStatement) or statement.noise is None:
+                continue
+            name = target_name(statement.target).text
+            written = (part for argument in statement.noise.arguments for part in walk(argument))
+            known = not {PREDICTION, name} & {part.text for part in written if isinstance(part, ast.Name)}
+            if statement.noise.kind.text == "student":
+                return f"the noise of `{name}`, which is Student's", ", or another noise"
+            if not known or any(self._is_learned(each) for each in self._named(statement) if each in self.table):
+                what = "is learned" if known else "depends on the predicted value"
+                return f"the noise of `{name}`, which {what}", "; or leave the noise out: it is estimated then"
+        return "", ""
+
+    def _values_of_their_own(self, others: str, remedy: str) -> None:
+        """Reports constants that are estimated for each trajectory beside what is fitted by the marginal likelihood,
+        where they have no distribution. `others` and `remedy` are of `_with_a_likelihood`."""
         for statement in self.learned:
             if statement.per is not None and statement.per.spread is None and statement.per.column.value in GROUPS:
                 self.findings.error(
                     "GB426",
-                    f"`{statement.name.text}` has a value for each trajectory and no distribution, beside others that "
-                    "have one",
+                    f"`{statement.name.text}` has a value for each trajectory and no distribution, beside {others}",
                     statement.per.span,
                     help=f"write `learn {statement.name.text} = … per trajectory ~ lognormal`, or leave "
-                    "`per trajectory` out",
+                    f"`per trajectory` out{remedy}",
                 )
+
+    def _learned_starts(self) -> None:
+        """Reports starts that are learned for each trajectory beside distributions."""
         for item in self.items:
             if isinstance(item.statement, ast.InitialStatement) and item.statement.value is None:
                 name = target_name(item.statement.target).text

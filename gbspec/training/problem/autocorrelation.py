@@ -11,6 +11,9 @@ from gbspec.arrays import Array
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.problem import Problem
 
+NEARLY_ONE = 1e-6
+"""A correlation this near to 1, in units of 1 / length, is that of one value."""
+
 
 def in_time(problem: Problem, channel: int) -> Integers:
     """The rows with a measurement of a channel, in the order of time, trajectory by trajectory."""
@@ -35,7 +38,17 @@ def autocorrelation_of(residuals: Array, owner: Integers) -> tuple[float | None,
     return product / size, len(first)
 
 
-def share_that_counts(correlation: float, pairs: int) -> float:
-    """The share of values that count, (1 - r) / (1 + r) with the correlation r of successive ones, which falls
-    geometrically; at least one value of all counts, and at most all of them."""
-    return float(np.clip((1 - correlation) / (1 + correlation), 1 / (pairs + 1), 1.0)) if correlation > 0 else 1.0
+def share_that_counts(correlation: float, length: float) -> float:
+    """The share of the values of trajectories with `length` of them on average that count where successive ones have
+    the correlation r, which falls geometrically: the variance of the mean of independent values over that of these,
+    1 / (1 + 2 sum (1 - k/length) r^k) with k < length (Box, Jenkins and Reinsel, Time Series Analysis, 2008, 2.1).
+
+    It is (1 - r) / (1 + r) of long trajectories, and at least one value of each counts: trajectories are independent.
+    """
+    r, n = min(correlation, 1.0), max(length, 1.0)
+    if r <= 0:
+        return 1.0
+    if (1 - r) * n < NEARLY_ONE:  # the terms of the other expression cancel
+        return 1 / n
+    inflation = (1 + r) / (1 - r) - 2 * r * (1 - r**n) / (n * (1 - r) ** 2)
+    return float(np.clip(1 / inflation, 1 / n, 1.0))

@@ -4,7 +4,7 @@ This is iteratively reweighted least squares, which maximises the likelihood wit
 concentrated out (Seber and Wild, Nonlinear Regression, 1989, 2.2.5 and 11.2). Each channel's variance is the sum of its
 squared residuals over the number of its values less the degrees of freedom that the fit has taken from it; both have
 what replicates differ by from their averages. Residuals that follow one another count less: of n values with a
-correlation c of successive residuals, n (1 - c) / (1 + c) count.
+correlation c of successive residuals, n (1 - c) / (1 + c) count (somewhat more in short trajectories).
 
 A dense channel that the model cannot follow exactly would bend a fit away from all others, whose noise would then be
 overestimated. So where numbers of values differ much, channels have other weights until then (see `first`).
@@ -187,7 +187,8 @@ def share_of(residuals: Array, owner: Integers) -> float:
     correlation, pairs = autocorrelation_of(residuals, owner)
     if correlation is None or pairs < 2 or correlation <= 2 / np.sqrt(pairs):
         return 1.0
-    return max(share_that_counts(correlation, pairs), min(TOLD / len(residuals), 1.0))
+    length = len(residuals) / (len(residuals) - pairs)
+    return max(share_that_counts(correlation, length), min(TOLD / len(residuals), 1.0))
 
 
 def _used(engine: Engine, theta: Array, ridge: float) -> Array:

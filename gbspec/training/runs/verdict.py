@@ -163,7 +163,14 @@ def widening(channels: Mapping[str, ChannelRecord]) -> float:
     were weighed by this share have such intervals already.
     """
     left = [channels[name] for name in autocorrelated(channels, above=0.0) if (channels[name].share or 1.0) == 1.0]
-    return max((1 / math.sqrt(share_that_counts(one.autocorrelation or 0.0, one.pairs)) for one in left), default=1.0)
+    shares = [share_that_counts(one.autocorrelation or 0.0, _length(one)) for one in left]
+    return max((1 / math.sqrt(share) for share in shares), default=1.0)
+
+
+def _length(channel: ChannelRecord) -> float:
+    """The mean number of a channel's values in a trajectory; that of a single one where older runs do not tell."""
+    values = channel.values or channel.pairs + 1
+    return values / max(values - channel.pairs, 1)
 
 
 def autocorrelations(
