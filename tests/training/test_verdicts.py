@@ -84,12 +84,12 @@ def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:
 @pytest.mark.parametrize(
     ("correlation", "pairs", "r2", "said"),
     [
-        (0.99, 1000, 0.99, "14 times as wide"),
+        (0.99, 1000, 0.99, "13 times as wide"),
         (0.6, 1000, 0.9, "2 times as wide"),
         (0.4, 1000, 0.9, ""),
-        (0.7, 20, 0.9, "2.4 times as wide"),
+        (0.7, 20, 0.9, "2.2 times as wide"),
         (0.5, 20, 0.9, ""),
-        (0.48, 25, 0.9, "1.7 times as wide"),
+        (0.48, 25, 0.9, "1.6 times as wide"),
         (0.99, 1000, 1 - 1e-8, ""),
         (None, 0, 0.9, ""),
     ],
