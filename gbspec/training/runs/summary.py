@@ -34,6 +34,7 @@ from gbspec.training.recipe import (
     stiff_as_learned,
     unstable_as_learned,
 )
+from gbspec.training.runs.moved_starts import moved_starts
 from gbspec.training.stages import StageName
 
 FAR, FEW, ENOUGH = 6.0, 0.05, 20
@@ -136,6 +137,7 @@ def summarise(
         left=[
             *(unstable_as_learned(context, parameters, theta) if lost else []),
             *_left(model, solution),
+            *moved_starts(model, problem, solution.initial, noise),
             *only_at_its_step(context, parameters, theta, fraction, failed),
             *stiff_as_learned(context, problem, parameters, theta, fraction, solution.before),
         ],
