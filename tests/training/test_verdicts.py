@@ -256,6 +256,16 @@ def test_all_channels_with_autocorrelated_residuals_are_offered_a_disturbance() 
     assert "`diffusion x = s_x`" in said and "`learn s_y = 2 > 0` and `diffusion y = s_y`" in said
 
 
+def test_of_many_states_the_first_shows_the_statement_and_the_others_are_listed() -> None:
+    states = "".join(f"state {x} : K = 1\n{x}' = -k*{x}\nobserve {x}\n" for x in "xyzw")
+    model = model_of(f"model m\ntime t : h\nlearn k : 1/h = 1\n{states}")
+    one = ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)
+    (said,) = autocorrelations(dict.fromkeys("xyzw", one), model, {"x": 0.123, "y": 2.0, "z": 0.3, "w": 1.0})
+    assert "the residuals of `x` (correlation 0.9 with the next row's), `y` (0.9), `z` (0.9), `w` (0.9) are" in said
+    assert said.count("diffusion") == 1 and "`learn s_x : K/h^0.5 = 0.1 > 0` and `diffusion x = s_x`" in said
+    assert said.endswith("; likewise for `y`, `z`, `w` (from 2, 0.3, 1)")
+
+
 def test_models_with_events_are_not_offered_a_disturbance() -> None:
     """`check` refuses both in one model (GB351)."""
     model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nevent e when x <= 0.5: x = 1\nobserve x\n")

@@ -35,6 +35,9 @@ smaller probability."""
 UNLIKELY = 1e-2
 """The model lacks something where its distances from averages of replicates have a smaller probability."""
 
+SPELLED_OUT = 2
+"""Of so many states each one's statements of a disturbance are written out; of more the first one's show how."""
+
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
     "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
@@ -241,9 +244,10 @@ def unrested(channels: Mapping[str, ChannelRecord], ended: str) -> list[str]:
 
 
 def _listed(found: list[str], channels: Mapping[str, ChannelRecord]) -> str:
-    return ", ".join(
-        f"`{name}` (correlation {channels[name].autocorrelation:.3g} with the next row's)" for name in found
-    )
+    """The channels with the correlations of their residuals; what these numbers are is said of the first."""
+    each = [f"{channels[name].autocorrelation:.3g}" for name in found]
+    told = [f"correlation {each[0]} with the next row's", *each[1:]]
+    return ", ".join(f"`{name}` ({one})" for name, one in zip(found, told, strict=True))
 
 
 def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> str:
@@ -259,14 +263,18 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
     measured = {c.state: c.name for c in model.channels if c.name in found and c.state is not None}
     if not measured:
         return ". The statement `diffusion` describes random disturbances of states between measurements"
-    lines, names, time = [], [], model.time.unit
+    lines, starts, time = [], [], model.time.unit
     for index, channel in measured.items():
         state = model.states[index]
         unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
         start = _rounded(rmse.get(channel, 0.0))
         lines.append(f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = s_{state.name}`")
-        names.append(f"`{state.name}`")
-    return f". To describe disturbances of {' and '.join(names)}, add the lines {', '.join(lines)}"
+        starts.append(start)
+    names = [f"`{model.states[index].name}`" for index in measured]
+    if len(names) <= SPELLED_OUT:
+        return f". To describe disturbances of {' and '.join(names)}, add the lines {', '.join(lines)}"
+    others = f"{', '.join(names[1:])} (from {', '.join(starts[1:])})"
+    return f". To describe disturbances of {names[0]}, add the lines {lines[0]}; likewise for {others}"
 
 
 def _rounded(size: float) -> str:
