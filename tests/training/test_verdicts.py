@@ -25,7 +25,7 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
 from gbspec.training.profile.likelihood import profile_constant
-from gbspec.training.runs.fit import completed, warnings_of
+from gbspec.training.runs.fit import completed
 from gbspec.training.runs.summary import MemberResult, _r2
 from gbspec.training.runs.verdict import (
     above_stated,
@@ -36,6 +36,7 @@ from gbspec.training.runs.verdict import (
     verdicts,
     widening,
 )
+from gbspec.training.runs.warned import warnings_of
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")

@@ -1,0 +1,56 @@
+"""The warnings of a fit, in the order in which they matter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbspec.ir import Model
+from gbspec.training.options import TrainOptions
+from gbspec.training.runs import verdict
+from gbspec.training.runs.minima import said_of_minima
+from gbspec.training.runs.summary import MemberResult
+from gbspec.training.stages import most_iterations
+
+
+def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: Model | None = None) -> list[str]:
+    """Warnings that a user must know before relying on the fit."""
+    out = []
+    for member, result in sorted(results.items()):
+        if result.failed:
+            out.append(f"member {member}: {verdict.blown_up(result.failed)}")
+        left = [
+            *verdict.verdicts(result.channels, model),
+            *verdict.lacking(result.channels),
+            *_of_residuals(result, options, model),
+        ]
+        left += verdict.above_stated(result.noise, model) if model is not None else []
+        out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
+        if not result.finished:
+            out.append(f"member {member}: training was interrupted; `--resume` continues it")
+    out += said_of_minima(results)
+    missing = options.members - len(results)
+    if missing > 0:
+        out.append(f"{missing} of {options.members} members {'was' if missing == 1 else 'were'} not fitted")
+    return out
+
+
+def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
+    """What is said of outliers and autocorrelated residuals, also of a fit without intervals, since it did not rest."""
+    far = verdict.outlying(result.channels, model, result.rmse)
+    if result.likelihood is not None:
+        return [*far, *verdict.innovations(result.channels or {}, result.likelihood)]
+    own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
+    shared = [sd for name, sd in result.sd.items() if name not in own]
+    deviations = np.array(shared) if shared else result.own_sd
+    if not deviations.size or np.isfinite(deviations).any():
+        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
+    if model is not None and model.marginal:
+        return []
+    if not result.finished:  # that is said by itself
+        return far
+    ended = ""
+    for stage in result.stages:  # what the last stage of several iterations says
+        most = most_iterations(stage.name, options.effort)
+        if most > 1:
+            ended = f" (`{stage.name}` ended after its {most} iterations)" if stage.iterations == most else ""
+    return [*far, *verdict.unrested(result.channels, ended)]
