@@ -397,6 +397,24 @@ def test_residuals_that_are_no_stated_noise_are_told(noise: str, found: float, s
     assert said in text
 
 
+@pytest.mark.parametrize(
+    ("remarks", "doubted"),
+    [
+        ((), True),
+        (("9 of 9 starts can be solved, 8 improved, the best minimum found 1 time",), True),
+        (("9 of 9 starts can be solved, 8 improved, the best minimum found 12 times",), False),
+        (("8 improved, the best minimum found 2 times", "8 improved, the best minimum found 3 times"), False),
+        (("8 improved, the best minimum found 8 times", "8 improved, the best minimum found 1 time"), True),
+    ],
+)
+def test_a_minimum_that_was_found_several_times_is_not_called_bad(remarks: tuple[str, ...], doubted: bool) -> None:
+    model = model_of("model m\nstate x in [0.1, 9]\nlearn k = 1\nx' = -k*x\nobserve x noise normal(0.2)\n")
+    (text,) = above_stated({"x": 0.7}, model, remarks)
+    assert ("the fit is in a bad minimum" in text) is doubted
+    assert ("`--effort high`" in text) is doubted
+    assert "the model lacks something" in text and "the noise is larger" in text and "another model" in text
+
+
 def test_predictions_of_zero_in_logarithms_have_a_bad_figure_and_not_none() -> None:
     """Without a figure the verdict on the fit would be left out."""
     model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x noise lognormal(0.1)\n")

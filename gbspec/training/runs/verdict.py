@@ -4,7 +4,7 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Findings
@@ -12,6 +12,7 @@ from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
+from gbspec.training.starts import Tally
 
 if TYPE_CHECKING:
     from gbspec.training.runs.summary import MemberResult
@@ -31,6 +32,9 @@ ABOVE = 2.0
 COLOURED = 1e-3
 """Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
 smaller probability."""
+
+SEVERAL = 3
+"""A minimum that a search found so many times is the best that it can find."""
 
 UNLIKELY = 1e-2
 """The model lacks something where its distances from averages of replicates have a smaller probability."""
@@ -106,11 +110,15 @@ def lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
     )
 
 
-def above_stated(noise: Mapping[str, float], model: Model) -> list[str]:
+def above_stated(noise: Mapping[str, float], model: Model, remarks: Iterable[str | None] = ()) -> list[str]:
     """A warning for each channel whose residuals, of the standard deviation `noise`, are no stated noise.
 
-    Noise is that of measurements alone: with disturbances or differences between trajectories it is not compared.
+    Noise is that of measurements alone: with disturbances or differences between trajectories it is not compared. A
+    minimum that a search found several times, by the `remarks` of the stages, is not called a bad one.
     """
+    tally = Tally.of(remarks)
+    often = tally is not None and tally.times >= SEVERAL
+    why, helps = (_LACKS, _OTHER_MODEL) if often else (_BAD_OR_LACKS, _OTHER_MINIMUM)
     out = []
     for channel in model.channels if not model.marginal else ():
         found, stated = noise.get(channel.name, math.nan), channel.noise  # of a log-normal one as a share
@@ -118,11 +126,15 @@ def above_stated(noise: Mapping[str, float], model: Model) -> list[str]:
             continue
         out.append(
             f"the residuals of `{channel.name}` are {found / stated.scale:.2g} times as large as the noise that the "
-            f"model states, {stated.kind}({stated.scale:g}): the fit is in a bad minimum, or the model lacks "
-            "something, or the noise is larger; intervals do not hold then. What may help: `--effort high`, "
-            "`--members 5`, narrower bounds, ranges of unmeasured states, or another model"
+            f"model states, {stated.kind}({stated.scale:g}): {why}; intervals do not hold then. What may help: {helps}"
         )
     return out
+
+
+_LACKS = "the model lacks something, or the noise is larger"
+_BAD_OR_LACKS = "the fit is in a bad minimum, or the model lacks something, or the noise is larger"
+_OTHER_MODEL = "`per trajectory` constants, another state, another model, or the noise that the data show"
+_OTHER_MINIMUM = "`--effort high`, `--members 5`, narrower bounds, ranges of unmeasured states, or another model"
 
 
 def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: Mapping[str, float]) -> list[str]:

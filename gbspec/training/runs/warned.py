@@ -23,7 +23,8 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
             *verdict.lacking(result.channels),
             *_of_residuals(result, options, model),
         ]
-        left += verdict.above_stated(result.noise, model) if model is not None else []
+        if model is not None:
+            left += verdict.above_stated(result.noise, model, [stage.remark for stage in result.stages])
         out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")

@@ -3,10 +3,13 @@ from .from_run import Earlier as Earlier
 from .from_run import earlier as earlier
 from .initial_states import refit_starts as refit_starts
 from .own_constants import refit_own as refit_own
+from .search import CLEARLY as CLEARLY
 from .search import PATIENCE as PATIENCE
 from .search import WITH_STARTS as WITH_STARTS
+from .search import WORSE as WORSE
 from .search import Patience as Patience
 from .search import Search as Search
+from .search import Tally as Tally
 from .search import followed as followed
 from .search import robust_loss as robust_loss
 from .sizes import sized_starts as sized_starts

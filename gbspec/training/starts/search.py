@@ -8,7 +8,8 @@ step, until the best minimum has been found several times or the effort is spent
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +51,8 @@ FOLLOWED = 1e-7
 """Mean loss up to which a minimum is good whatever its residuals: they are less than 0.05 % of the deviations."""
 LARGEST = 10**7
 """Largest number of entries of all draws."""
+WORSE, CLEARLY = 0.05, 10.0
+"""A minimum is a worse one if its loss is larger by this share, and -2 log likelihood by so much."""
 OFTEN = 4
 """How much more often a minimum has to be found whose residuals do not look like noise: a better one may exist."""
 
@@ -61,6 +64,31 @@ SETTLED = 1e-6
 """The relative fall of the objective at which those that are compared have come to rest."""
 IDLE = 0.1
 """A constant by whose change by this (on the scale of training) no residual changes is not compared."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How many starts were improved, how many `times` the best minimum was found, and how many others ended `near` it:
+    in none that is a worse one. The text is what stages keep of a search."""
+
+    improved: int
+    times: int
+    near: int = 0
+
+    def __str__(self) -> str:
+        if self.times != 1:
+            return f"{self.improved} improved, the best minimum found {self.times} times"
+        others = f" ({self.near} other{'' if self.near == 1 else 's'} near it)" if self.near else ""
+        return f"{self.improved} improved, the best minimum found 1 time{others}"
+
+    @staticmethod
+    def of(remarks: Iterable[str | None]) -> Tally | None:
+        """That of the last search among the remarks of stages; None if there was none."""
+        found = [match for text in remarks if text and (match := _TALLY.search(text))]
+        return Tally(*(int(number or 0) for number in found[-1].groups())) if found else None
+
+
+_TALLY = re.compile(r"(\d+) improved, the best minimum found (\d+) times?(?: \((\d+) others? near it\))?")
 
 
 @dataclass(frozen=True)
@@ -218,10 +246,9 @@ class Search:
             theta, best = self._best_of_own(self._preferred(minima, theta, best), best)
         endless = int(state.get("endless", 0))
         why = f" (in {endless} events follow each other without end)" if endless else ""
-        remark = (
-            f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {len(found)} improved, "
-            f"the best minimum found {count} time{'' if count == 1 else 's'}"
-        )
+        near = int(np.sum(found <= best * (1 + max(WORSE, CLEARLY / self.count)))) - count
+        tally = Tally(len(found), count, near)
+        remark = f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {tally}"
         new: State = state | {"theta": theta, "best": np.array(best), "found": found, **minima}
         note = self._others(minima, theta) if done else ""
         return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, note, remark)
