@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 import gbspec
+from gbspec.runs import ChannelRecord
 from gbspec.training import Effort
+from gbspec.training.runs.minima import found_once
+from gbspec.training.runs.summary import MemberResult
+from gbspec.training.starts import Tally
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -129,3 +135,49 @@ def test_a_step_that_is_too_long_makes_no_equal_minimum(tmp_path: Path) -> None:
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert fit.constants["ka"].value == pytest.approx(fit.constants["ke"].value, rel=0.05)
     assert not any("other constants" in text for text in fit.warnings)
+
+
+ONCE = "9 of 9 starts can be solved, {} improved, the best minimum found {}"
+
+
+def searched(remark: str, loss: float = 0.1, notes: tuple[str, ...] = (), horizons: bool = False) -> MemberResult:
+    stages = [SimpleNamespace(name="search", remark=remark)]
+    stages += [SimpleNamespace(name="growing horizons", remark=None)] if horizons else []
+    channels = {"x": ChannelRecord(0.9, 0.2, values=200)}
+    found = SimpleNamespace(stages=stages, notes=notes, loss=loss, finished=True, channels=channels, objective=None)
+    return cast(MemberResult, found)
+
+
+@pytest.mark.parametrize(
+    ("result", "said"),
+    [
+        (searched(ONCE.format(64, "1 time")), True),
+        (searched(ONCE.format(64, "1 time (20 others near it)")), True),
+        (searched(ONCE.format(64, "1 time (21 others near it)")), False),
+        (searched(ONCE.format(64, "2 times")), False),
+        (searched(ONCE.format(8, "1 time (1 other near it)")), True),
+        (searched("exact", 0.1), False),
+        (searched(ONCE.format(64, "1 time"), 1e-9), False),
+        (searched(ONCE.format(64, "1 time"), notes=("other constants fit the data equally well: …",)), False),
+        (searched(ONCE.format(64, "1 time"), horizons=True), False),
+    ],
+)
+def test_a_best_minimum_that_was_found_once_is_told(result: MemberResult, said: bool) -> None:
+    found = found_once({0: result}, "normal")
+    assert len(found) == said
+    assert all("`--effort high`" in text and text.startswith("member 0: ") for text in found)
+    assert all("`--effort" not in text for text in found_once({0: result}, "high"))
+
+
+def test_members_that_agree_have_found_it_several_times() -> None:
+    once = ONCE.format(64, "1 time")
+    assert not found_once({0: searched(once, 0.1), 1: searched(once, 0.101)}, "normal")
+    (said,) = found_once({0: searched(once, 0.1), 1: searched(once, 0.3)}, "normal")
+    assert said.startswith("member 0: "), "of the worse one that is said already"
+
+
+def test_a_search_counts_what_ended_near_its_best_minimum() -> None:
+    assert str(Tally(64, 1, 3)) == "64 improved, the best minimum found 1 time (3 others near it)"
+    assert Tally.of([None, f"5 of 9 starts can be solved, {Tally(64, 1, 3)}", None]) == Tally(64, 1, 3)
+    assert Tally.of([str(Tally(8, 1)), str(Tally(8, 12, 9))]) == Tally(8, 12)
+    assert Tally.of([None, "nothing"]) is None

@@ -7,7 +7,7 @@ import numpy as np
 from gbspec.ir import Model
 from gbspec.training.options import TrainOptions
 from gbspec.training.runs import verdict
-from gbspec.training.runs.minima import said_of_minima
+from gbspec.training.runs.minima import found_once, said_of_minima
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.stages import most_iterations
 
@@ -28,7 +28,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
         out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
-    out += said_of_minima(results)
+    out += [*said_of_minima(results), *found_once(results, options.effort, model)]
     missing = options.members - len(results)
     if missing > 0:
         out.append(f"{missing} of {options.members} members {'was' if missing == 1 else 'were'} not fitted")
