@@ -7,8 +7,10 @@ from .cases import Cases as Cases
 from .cases import MetricsOptions as MetricsOptions
 from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
+from .checks import Beyond as Beyond
 from .checks import far_outside as far_outside
-from .checks import states_far_outside as states_far_outside
+from .checks import said_of_ranges as said_of_ranges
+from .checks import states_beyond as states_beyond
 from .columns import TRAJECTORY as TRAJECTORY
 from .columns import form_of as form_of
 from .draws import sobol as sobol

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -273,34 +276,67 @@ def _point_out(table: Records, groups: list[int], code: str, findings: Findings)
     findings.warning(code, message, Cell(table.path, row, None), help=advice)
 
 
+@dataclass(frozen=True)
+class Beyond:
+    """Values of a state far outside of its declared range: `count` of `known` ones, between `least` and `most`."""
+
+    name: str
+    bounds: Range
+    count: int
+    known: int
+    least: float
+    most: float
+
+    @classmethod
+    def of(cls, name: str, bounds: Range | None, column: Array) -> Beyond | None:
+        """Those values that lie outside of a range by more than a tenth of it, if there are any: noise and small errors
+        of a fit may leave it by less."""
+        if bounds is None or not bounds.bounded:
+            return None
+        margin = 0.1 * (bounds.high - bounds.low)
+        beyond = column[(column < bounds.low - margin) | (column > bounds.high + margin)]
+        if not len(beyond):
+            return None
+        known = int(np.isfinite(column).sum())
+        return cls(name, bounds, len(beyond), known, float(beyond.min()), float(beyond.max()))
+
+    def __str__(self) -> str:
+        verb = "lies" if self.count == 1 else "lie"
+        return (
+            f"`{self.name}`: {self.count} of {counted(self.known, 'value')} {verb} far outside of its range "
+            f"{_interval(self.bounds)}: {self._spread}"
+        )
+
+    @property
+    def _spread(self) -> str:
+        least, most = f"{self.least:.4g}", f"{self.most:.4g}"
+        return f"from {least} to {most}" if least != most else least
+
+    @property
+    def brief(self) -> str:
+        """The same in a list of several states."""
+        return f"`{self.name}` ({self._spread} in {self.count} of {self.known}; range {_interval(self.bounds)})"
+
+
 def far_outside(model: Model, values: Array) -> list[str]:
     """A sentence for each channel that is a state and has values [rows, channels] far outside of its declared range."""
     states = {j: channel.state for j, channel in enumerate(model.channels) if channel.state is not None}
-    found = ((model.channels[j].name, model.states[i].range, values[:, j]) for j, i in states.items())
-    return [text for name, bounds, column in found if (text := _beyond(name, bounds, column))]
+    found = (Beyond.of(model.channels[j].name, model.states[i].range, values[:, j]) for j, i in states.items())
+    return [str(one) for one in found if one is not None]
 
 
-def states_far_outside(model: Model, states: Array) -> list[str]:
-    """A sentence for each state that has values [rows, states] far outside of its declared range."""
-    found = zip(model.states, states.T, strict=True)
-    return [text for state, column in found if (text := _beyond(state.name, state.range, column))]
+def states_beyond(model: Model, states: Array) -> list[Beyond]:
+    """What is to be said of each state that has values [rows, states] far outside of its declared range."""
+    found = (Beyond.of(state.name, state.range, column) for state, column in zip(model.states, states.T, strict=True))
+    return [one for one in found if one is not None]
 
 
-def _beyond(name: str, bounds: Range | None, column: Array) -> str:
-    """A sentence if values lie outside of a range by more than a tenth of it, else empty: noise and small errors of a
-    fit may leave it by less."""
-    if bounds is None or not bounds.bounded:
-        return ""
-    margin = 0.1 * (bounds.high - bounds.low)
-    beyond = column[(column < bounds.low - margin) | (column > bounds.high + margin)]
-    if not len(beyond):
-        return ""
-    spread = f"from {beyond.min():.4g} to {beyond.max():.4g}" if len(beyond) > 1 else f"{beyond[0]:.4g}"
-    return (
-        f"`{name}`: {len(beyond)} of {counted(int(np.isfinite(column).sum()), 'value')} "
-        f"{'lies' if len(beyond) == 1 else 'lie'} far outside of its range "
-        f"{_interval(bounds)}: {spread}"
-    )
+def said_of_ranges(found: Sequence[Beyond]) -> list[str]:
+    """One sentence of all states with values far outside of their ranges; none if there are none."""
+    if len(found) < 2:
+        return [str(one) for one in found]
+    listed = ", ".join(one.brief for one in found)
+    return [f"values of {len(found)} states lie far outside of their ranges: {listed}"]
 
 
 def _shown(quantity: Quantity, value: float) -> str:

@@ -56,7 +56,8 @@ def _absent(model: Model, data: Trajectories) -> str:
 
 @packages()
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
-    """The run fitted to `data`, with the check of each member's step and warnings for those that depend on it."""
+    """The run fitted to `data`, with the check of each member's step and, before all others, warnings for those that
+    depend on it."""
     from gbspec.analysis import check_fit
     from gbspec.training import split
 
@@ -65,7 +66,7 @@ def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run
     checks = check_fit(run, data)
     warnings = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
     records = tuple(check.record() for check in checks)
-    return run.amended(replace(run.fit, step_checks=records, warnings=(*run.fit.warnings, *warnings)))
+    return run.amended(replace(run.fit, step_checks=records, warnings=(*warnings, *run.fit.warnings)))
 
 
 @packages()
@@ -89,7 +90,7 @@ def sweep(
         if member_numbers(directory / point.name):
             made = open_run(directory / point.name)
             checked = with_step_checks(made, data, point.options)
-            for warning in checked.fit.warnings[len(made.fit.warnings) :]:
+            for warning in checked.fit.warnings[: len(checked.fit.warnings) - len(made.fit.warnings)]:
                 if progress is not None:
                     progress.message(f"{point.name}: {warning}")
     return rows

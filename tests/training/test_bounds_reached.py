@@ -27,7 +27,7 @@ observe x
 
 def member(channel: ChannelRecord, k: float) -> MemberResult:
     """What is asked of a member here."""
-    found = SimpleNamespace(left=[], notes=[], vanished=frozenset(), channels={"x": channel}, constants={"k": k})
+    found = SimpleNamespace(tied=[], notes=[], vanished=frozenset(), channels={"x": channel}, constants={"k": k})
     return cast(MemberResult, found)
 
 
@@ -121,6 +121,17 @@ def test_an_interval_that_covers_the_bounds_is_said_to_tell_nothing(
     found = undetermined(model, {"k": ConstantRecord(0.5, 0.01, interval, 0.5, (0.5,), None)})
     assert bool(found) is said
     assert all("`k` is not determined" in text for text in found)
+
+
+def test_constants_that_are_not_determined_share_a_warning(tmp_path: Path) -> None:
+    text = TEXT.replace("k = 1 in [0, 2]", "k = 0.5 in [0, 1]\nlearn a = 0.5 in [0, 1]\nlearn b = 0.5 in [0, 1]")
+    (tmp_path / "m.gb").write_text(text.replace("x' = -k*x", "x' = -(k + a + b)*x"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    known = ConstantRecord(0.5, 0.01, (0.01, 0.99), 0.5, (0.5,), None)
+    (said,) = undetermined(model, dict.fromkeys("kab", known))
+    assert said.startswith("`k`, `a` and `b` are not determined by these data: their 90 % intervals cover their bounds")
+    (said,) = undetermined(model, {"k": known})
+    assert "`k` is not determined by these data: its 90 % interval, 0.01 to 0.99, covers its bounds" in said
 
 
 def test_a_constant_at_its_bound_is_not_said_to_be_undetermined(tmp_path: Path) -> None:

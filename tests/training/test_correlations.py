@@ -64,3 +64,11 @@ def test_nothing_is_said_of_constants_that_are_known_well_by_themselves() -> Non
     assert moving_together(pair, {"a", "b"}) == [] and len(moving_together(pair, {"a"})) == 1
     three = table((1, -0.49, -0.49), (-0.49, 1, -0.49), (-0.49, -0.49, 1))
     assert moving_together(three, {"a", "b", "c"}) == [] and len(moving_together(three, {"a", "b"})) == 1
+
+
+def test_many_pairs_share_a_warning() -> None:
+    pairs = [(1.0, 0.99, 0.98, 0.0), (0.99, 1.0, 0.97, 0.0), (0.98, 0.97, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)]
+    (said,) = moving_together(table(*pairs))
+    listed = "`a` and `b` (0.990); `a` and `c` (0.980); `b` and `c` (0.970). The data"
+    assert said.startswith(f"strongly correlated constants: {listed}")
+    assert len(moving_together(table(*pairs), {"a", "b"})) == 2

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import gbspec
+from gbspec.training import TrainOptions
+from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import inseparable
+from gbspec.training.runs.warned import warnings_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -61,3 +66,24 @@ def test_an_unmeasured_state_and_its_start_are_told(tmp_path: Path) -> None:
     for warnings in (run.run.fit.warnings, run.validate().warnings):
         told = [one for one in warnings if "far outside" in one]
         assert len(told) == 1 and "`y`: 5 of 5 values" in told[0]
+
+
+def test_states_far_outside_share_a_sentence_in_the_order_of_the_model(tmp_path: Path) -> None:
+    more = "state y in [3, 4]\nstate z in [0, 1]\n"
+    text = (
+        ONE.replace("state x in [0, 2]\n", f"state x\n{more}") + "y' = -y + x\nz' = 0\ninitial y = 1\ninitial z = 7\n"
+    )
+    run = trained(tmp_path, text)
+    for warnings in (run.run.fit.warnings, run.validate().warnings):
+        (told,) = [one for one in warnings if "far outside" in one]
+        assert "values of 2 states lie far outside of their ranges: `y` (from " in told
+        assert told.endswith("in 5 of 5; range [3, 4]), `z` (7 in 5 of 5; range [0, 1])")
+
+
+def test_what_concerns_the_whole_fit_is_said_before_single_states_and_constants() -> None:
+    member = MemberResult(0, 0.1, 0.1, {}, {}, {}, {}, {}, 1.0, [], np.zeros(0), [])
+    one = replace(member, left=["steps"], notes=["minima"], beyond=["ranges"], tied=["constants"], failed=["a"])
+    found = warnings_of({0: one, 1: replace(one, failed=[])}, TrainOptions(members=3))
+    texts = [text.removeprefix("member 0: ").removeprefix("member 1: ") for text in found]
+    assert texts[0] == "1 of 3 members was not fitted" and "blows up" in texts[1]
+    assert texts[2:] == ["steps", "minima"] * 2 + ["ranges"] * 2 + ["constants"] * 2

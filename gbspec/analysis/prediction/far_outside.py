@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.analysis.prediction.below_zero import Predicted
-from gbspec.data import states_far_outside
+from gbspec.data import said_of_ranges, states_beyond
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
 
 
 def said_of_states(model: Model, items: Sequence[Predicted], hidden: Sequence[int]) -> list[str]:
-    """A warning for each state that predictions take far outside of its range: of those that a channel measures
+    """A warning of the states that predictions take far outside of their ranges: of those that a channel measures
     directly, and of the `hidden` ones behind the channels."""
     columns = {channel.state: j for j, channel in enumerate(model.channels) if channel.state is not None}
     columns |= {state: len(model.channels) + j for j, state in enumerate(hidden)}
@@ -26,7 +26,7 @@ def said_of_states(model: Model, items: Sequence[Predicted], hidden: Sequence[in
     states = np.full((len(means), len(model.states)), np.nan)
     for state, column in columns.items():
         states[:, state] = means[:, column]
-    return [f"{said}. {_REMEDY}" for said in states_far_outside(model, states)]
+    return [f"{said}. {_REMEDY}" for said in said_of_ranges(states_beyond(model, states))]
 
 
-_REMEDY = "Where its start was estimated, more rows (a longer `--window`) may determine it"
+_REMEDY = "Where a start was estimated, more rows (a longer `--window`) may determine it"

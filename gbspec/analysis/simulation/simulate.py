@@ -27,7 +27,7 @@ from gbspec.data import (
     clipped,
     evaluate,
     form_of,
-    states_far_outside,
+    states_beyond,
 )
 from gbspec.diagnostics import ComputationError, Findings
 from gbspec.ir import Model, without_values
@@ -149,7 +149,7 @@ def simulate(
     items = _noisy(solved, model, options)
     channels = tuple(channel.name for channel in model.channels)
     meta = {"rejected": str(tally.rejected), "failed": str(tally.failed)}
-    meta["outside"] = "\n".join(states_far_outside(model, np.concatenate([one.states for one in solved])))
+    meta["outside"] = "\n".join(map(str, states_beyond(model, np.concatenate([one.states for one in solved]))))
     rows = sum(len(item.times) for item in items)
     return Trajectories(items, channels, rows=rows, meta=meta, form=form_of(model))
 

@@ -16,7 +16,7 @@ from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, sa
 from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data import deviations, present_values, states_far_outside
+from gbspec.data import deviations, present_values, said_of_ranges, states_beyond
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted, of_rows
@@ -224,7 +224,7 @@ def validate(
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         solved = [one.states for one in predicted if not one.failure]
-        warnings += states_far_outside(run.model, np.concatenate(solved)) if solved else []
+        warnings += said_of_ranges(states_beyond(run.model, np.concatenate(solved))) if solved else []
     place = 0 if member == "mean" else run.numbers.index(member)
     said = warning_of_other_data(check, run.fit.step_checks[place] if place < len(run.fit.step_checks) else None)
     warnings += [said] if said else []

@@ -24,6 +24,8 @@ NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
 COVERED = 0.9
 """An interval that covers this fraction of the bounds says no more than they do."""
+SPELLED_OUT = 2
+"""So many pairs and groups of correlated constants have a warning each; more of them share one."""
 EXACT = 1e-20
 """Up to this mean loss, the data are fitted to rounding."""
 
@@ -96,7 +98,8 @@ def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, 
 def moving_together(
     correlations: Mapping[str, Mapping[str, float]], certain: Collection[str] = frozenset()
 ) -> list[str]:
-    """Warnings about strongly correlated constants: pairs, then groups that contain no such pair.
+    """Warnings about strongly correlated constants: pairs, then groups that contain no such pair; one of all of them,
+    where there are more than `SPELLED_OUT`.
 
     A group consists of the constants in an eigenvector of the correlation matrix whose eigenvalue is below
     1 - TOGETHER, the value of a pair at the limit: this combination of estimates is known far better than they are,
@@ -105,9 +108,12 @@ def moving_together(
     names = list(correlations)
     table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
     pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(table[i, j]) > TOGETHER]
-    warnings = [
-        f"`{names[i]}` and `{names[j]}` are strongly correlated (correlation {table[i, j]:.3f}): "
-        "the data determine a combination of them better than either"
+    told = [
+        (
+            f"`{names[i]}` and `{names[j]}` ({table[i, j]:.3f})",
+            f"`{names[i]}` and `{names[j]}` are strongly correlated (correlation {table[i, j]:.3f}): "
+            "the data determine a combination of them better than either",
+        )
         for i, j in pairs
         if not {names[i], names[j]} <= set(certain)
     ]
@@ -118,11 +124,18 @@ def moving_together(
         if value < 1 - TOGETHER and not known and not any(i in group and j in group for i, j in pairs):
             listed = " ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
             together = ", ".join(f"`{names[i]}`" for i in group)
-            warnings.append(
+            said = (
                 f"{together} are strongly correlated: the data determine the combination {listed} (in standard "
                 "deviations) better than each of them; give one of them its value, or a prior, if it is known"
             )
-    return warnings
+            told.append((together, said))
+    if len(told) <= SPELLED_OUT:
+        return [text for _, text in told]
+    listed = "; ".join(brief for brief, _ in told)
+    return [
+        f"strongly correlated constants: {listed}. The data determine a combination of each of these pairs and groups "
+        "better than the constants in it; give some of them values, or priors, if they are known"
+    ]
 
 
 def at_bounds(
@@ -139,9 +152,9 @@ def at_bounds(
 
 
 def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
-    """A warning for each constant whose interval covers its bounds: its value and its standard deviation, which holds
-    near the value alone, may seem to say more."""
-    out = []
+    """A warning of the constants whose intervals cover their bounds: value and standard deviation, which holds near the
+    value alone, may seem to say more."""
+    at_bound, open_ones = [], []
     for learnable in model.learnables:
         record, bounds = constants.get(learnable.name), learnable.range
         if record is None or record.interval is None or not bounds.bounded or bounds.low >= bounds.high:
@@ -153,18 +166,30 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
         near = min((bounds.low, bounds.high), key=lambda bound: abs(record.value - bound))
         narrow = Bijection.of(learnable).share(record.value, record.sd) < NARROW
         if narrow and abs(record.value - near) < 3 * (record.sd or 0.0):
-            out.append(
+            at_bound.append(
                 f"`{learnable.name}` lies at its bound {near:g}, within its standard deviation of {record.sd:.2g}; its "
                 "interval, which cannot leave the bounds, says nothing there: widen the bounds if values beyond are "
                 "plausible, else the model or another constant is not what it should be"
             )
         else:
-            out.append(
-                f"`{learnable.name}` is not determined by these data: its 90 % interval, {record.interval[0]:.4g} to "
-                f"{record.interval[1]:.4g}, covers its bounds. Give it a value (`const`) or a prior if something is "
-                "known of it, or measure what it acts on"
-            )
-    return out
+            open_ones.append((learnable.name, record.interval))
+    return [*_not_determined(open_ones), *at_bound]
+
+
+def _not_determined(found: Sequence[tuple[str, tuple[float, float]]]) -> list[str]:
+    """One warning of all constants whose intervals cover their bounds."""
+    if len(found) > 1:
+        names = [f"`{name}`" for name, _ in found]
+        return [
+            f"{', '.join(names[:-1])} and {names[-1]} are not determined by these data: their 90 % intervals cover "
+            "their bounds. Give them values (`const`) or priors if something is known of them, or measure what they "
+            "act on"
+        ]
+    return [
+        f"`{name}` is not determined by these data: its 90 % interval, {low:.4g} to {high:.4g}, covers its bounds. "
+        "Give it a value (`const`) or a prior if something is known of it, or measure what it acts on"
+        for name, (low, high) in found
+    ]
 
 
 def said_of_constants(
@@ -196,7 +221,7 @@ def unsettled(
     and those of single trajectories."""
     own = _unsettled_own(constants)
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
-    told = " ".join(text for one in results.values() for text in (*one.left, *one.notes) if "no interval" in text)
+    told = " ".join(text for one in results.values() for text in (*one.tied, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
     found = [n for n, one in shared.items() if one.sd is None and n not in at_ends and f"`{n}`" not in told]
     if not found or all(record.sd is None for record in shared.values()):

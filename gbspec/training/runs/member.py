@@ -372,7 +372,7 @@ class _Runner:
                 result.sd[name] = factor * float(deviation)
             result.correlations = position.certainty.correlations
             if position.finished:
-                result.left += without_tied(result, self.context, self.parameters, position.best, names)
+                result.tied += without_tied(result, self.context, self.parameters, position.best, names)
         if position.certainty.own.shape == result.own_sd.shape:
             result.own_sd = factor * position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)

@@ -78,14 +78,15 @@ def with_population(
     )
     tied = {name: factor for name, factor in found.loosened.items() if factor > TIED and name in made_result.sd}
     made_result.sd |= dict.fromkeys(tied, math.nan)
-    made_result.left += said_of_tied(tied, [name for name, one in found.loosened.items() if math.isnan(one)], HELPS)
+    made_result.tied += said_of_tied(tied, [name for name, one in found.loosened.items() if math.isnan(one)], HELPS)
     if _one_sum_of_squares(context.model):
-        made_result.left += without_tied(made_result, context, parameters, theta, begun)
+        made_result.tied += without_tied(made_result, context, parameters, theta, begun)
     tables = _tables(context, found, objective)
     errors = _errors(context, tables)
     made_result.vanished, infinite = _unbounded(context, found, tables)
     spreads = [*_vanished(objective, found), *_doubtful(objective, found)]
-    made_result.left += [*infinite, *spreads, *said_of_errors(errors)]
+    made_result.left += [*infinite, *said_of_errors(errors)]
+    made_result.tied += spreads
     return made_result, Described(
         replace(_record(context, found, objective), npde=errors),
         _objective(found, objective),

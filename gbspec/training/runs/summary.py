@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from gbspec.arrays import Array
-from gbspec.data import Scales, naive_predictors, present_values, states_far_outside, variance_of
+from gbspec.data import Scales, naive_predictors, present_values, said_of_ranges, states_beyond, variance_of
 from gbspec.files import finite
 from gbspec.ir import Model, on_fitted_scale
 from gbspec.runs import ChannelRecord, LikelihoodRecord, ObjectiveRecord, PopulationRecord, StageRecord
@@ -53,7 +53,8 @@ class MemberResult:
     not known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed`
     names the trajectories whose autoregressive solution is not finite. `scales` are those of the residuals, if their
     noise was estimated. `own` and `own_sd` [N, j] are the constants per trajectory and their standard deviations (NaN:
-    not known). `left` tells which states leave their declared ranges.
+    not known). `left` is said of whole solutions, `beyond` of states that leave their declared ranges, `tied` of
+    constants and spreads that the data do not tell.
     """
 
     seed: int
@@ -73,6 +74,8 @@ class MemberResult:
     finished: bool = True
     notes: list[str] = field(default_factory=list)
     left: list[str] = field(default_factory=list)
+    beyond: list[str] = field(default_factory=list)
+    tied: list[str] = field(default_factory=list)
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own_sd: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -136,11 +139,11 @@ def summarise(
         failed,
         left=[
             *(unstable_as_learned(context, parameters, theta) if lost else []),
-            *_left(model, solution),
-            *moved_starts(model, problem, solution.initial, noise),
             *only_at_its_step(context, parameters, theta, fraction, failed),
             *stiff_as_learned(context, problem, parameters, theta, fraction, solution.before),
+            *moved_starts(model, problem, solution.initial, noise),
         ],
+        beyond=_beyond(model, solution),
         own=own,
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
@@ -148,13 +151,19 @@ def summarise(
     )
 
 
-def _left(model: Model, solution: Moments) -> list[str]:
-    """A sentence for each state whose solutions, or else initial values, lie far outside of its declared range."""
-    found = []
-    for what, values in (("learned solutions", solution.after), ("learned initial states", solution.initial)):
-        told = states_far_outside(model, np.where(np.isfinite(values), values, np.nan))
-        found += [(text.partition(":")[0], f"in the {what}, {text}") for text in told]
-    return list(dict(reversed(found)).values())
+def _beyond(model: Model, solution: Moments) -> list[str]:
+    """A sentence of the states whose solutions lie far outside of their declared ranges, and one of those of which the
+    initial values alone do."""
+    solutions, starts = (
+        states_beyond(model, np.where(np.isfinite(values), values, np.nan))
+        for values in (solution.after, solution.initial)
+    )
+    names = {one.name for one in solutions}
+    return [
+        f"in the learned {what}, {text}"
+        for what, found in (("solutions", solutions), ("initial states", [s for s in starts if s.name not in names]))
+        for text in said_of_ranges(found)
+    ]
 
 
 def only_at_its_step(

@@ -13,26 +13,24 @@ from gbspec.training.stages import most_iterations
 
 
 def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: Model | None = None) -> list[str]:
-    """Warnings that a user must know before relying on the fit."""
-    out = []
-    for member, result in sorted(results.items()):
-        if result.failed:
-            out.append(f"member {member}: {verdict.blown_up(result.failed)}")
-        left = [
-            *verdict.verdicts(result.channels, model),
-            *verdict.lacking(result.channels),
-            *_of_residuals(result, options, model),
-        ]
-        if model is not None:
-            left += verdict.above_stated(result.noise, model, [stage.remark for stage in result.stages])
-        out += [f"member {member}: {text}" for text in (*left, *result.left, *result.notes)]
-        if not result.finished:
-            out.append(f"member {member}: training was interrupted; `--resume` continues it")
-    out += [*said_of_minima(results), *found_once(results, options.effort, model)]
+    """Warnings that a user must know before relying on the fit: what concerns whole fits, then residuals and states,
+    then single constants."""
+    whole, parts, single = [], [], []
     missing = options.members - len(results)
     if missing > 0:
-        out.append(f"{missing} of {options.members} members {'was' if missing == 1 else 'were'} not fitted")
-    return out
+        whole.append(f"{missing} of {options.members} members {'was' if missing == 1 else 'were'} not fitted")
+    for member, result in sorted(results.items()):
+        if not result.finished:
+            whole.append(f"member {member}: training was interrupted; `--resume` continues it")
+        blown = [verdict.blown_up(result.failed)] if result.failed else []
+        followed = verdict.verdicts(result.channels, model)
+        whole += [f"member {member}: {text}" for text in (*blown, *followed, *result.left, *result.notes)]
+        left = [*verdict.lacking(result.channels), *_of_residuals(result, options, model)]
+        if model is not None:
+            left += verdict.above_stated(result.noise, model, [stage.remark for stage in result.stages])
+        parts += [f"member {member}: {text}" for text in (*left, *result.beyond)]
+        single += [f"member {member}: {text}" for text in result.tied]
+    return [*whole, *said_of_minima(results), *found_once(results, options.effort, model), *parts, *single]
 
 
 def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
