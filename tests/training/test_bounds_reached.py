@@ -45,6 +45,9 @@ def test_what_ended_at_a_bound(tmp_path: Path, k: float, wanted: list[tuple[str,
         ("in [10, 90] = 60", 14.0, 4.0, []),
         ("in [0.01, 50] = 3", 0.01002, 46.0, [("k", 0.01)]),
         ("in [0.01, 50] = 3", 0.012, 46.0, []),
+        ("in [0, 50] = 0.1", 49.9046, 7.1, [("k", 50.0)]),  # 75 times nearer to the bound than its deviation
+        ("in [0, 50] = 0.1", 49.5, 7.1, []),
+        ("in [0, 50] = 0.1", 49.9046, 20.0, []),
         ("in [0, 1] = 0.5", 0.75, 4.8, []),
         ("> 0 = 0.5", 0.01, 0.4, []),
         ("in [10, 90] = 60", 10.334, float("nan"), []),
@@ -60,7 +63,7 @@ def test_a_constant_far_closer_to_a_bound_than_its_standard_deviation_is_at_it(
     result = member(ChannelRecord(0.9, 0.2), k)
     found = said_of_constants(model, {}, [(0, *each) for each in wanted], {0: result})
     assert len(found) == len(wanted)
-    assert all(f"`k` ended at {k:g}, beside its bound" in one for one in found)
+    assert all(f"`k` ended at {k:.5g}, beside its bound" in one for one in found)
 
 
 @pytest.mark.parametrize(("rate", "stopped"), [(5.0, True), (1.5, False)])
@@ -83,6 +86,26 @@ def test_an_interval_lies_within_the_bounds(tmp_path: Path, bounds: str, value: 
     found = inside_bounds(learnable, value, sd)
     assert found is not None
     assert learnable.range.low <= found[0] < value < found[1] <= learnable.range.high
+
+
+@pytest.mark.parametrize(
+    ("bounds", "value", "sd", "wanted"),
+    [
+        ("in [0, 50]", 18.97, 183.0, (0.0, 50.0)),
+        ("in [0, 50]", 49.0, 20.0, (0.0, 50.0)),
+        ("in [1, 1000]", 270.8, 3800.0, (1.0, 1000.0)),
+        ("in [0, 50]", 1e-7, 1e-8, (8.48e-8, 1.179e-7)),
+        ("> 0", 1e-7, 1e-8, (8.48e-8, 1.179e-7)),
+    ],
+)
+def test_an_end_that_cannot_be_told_from_a_bound_is_the_bound(
+    tmp_path: Path, bounds: str, value: float, sd: float, wanted: tuple[float, float]
+) -> None:
+    """6.36e-51 is what is left of the scale on which constants are trained, and no number of these data."""
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k = 20 {bounds}"))
+    (learnable,) = gbspec.load(tmp_path / "m.gb").model.learnables
+    found = inside_bounds(learnable, value, sd)
+    assert found == (wanted if wanted[1] in (50.0, 1000.0) else pytest.approx(wanted, rel=1e-3))
 
 
 @pytest.mark.parametrize("bounds", ["in [0, 2]", "> 0", ""])

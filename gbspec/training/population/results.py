@@ -186,7 +186,9 @@ def _estimates(layout: Layout, u: Array, covariance: Array) -> Estimates:
     value = layout.natural(at).numpy()
     ends = [layout.natural(torch.from_numpy(u + sign * NORMAL_90 * own)).numpy() for sign in (-1, 1)]
     scaled = covariance * np.outer(slopes, slopes)
-    low, high = np.minimum(*ends), np.maximum(*ends)
+    maps = layout.bijections.each
+    told = [np.array([one.end(a, v) for one, a, v in zip(maps, end, value, strict=True)]) for end in ends]
+    low, high = np.minimum(*told), np.maximum(*told)
     return Estimates(tuple(layout.names), value, np.abs(slopes) * own, low, high, scaled)
 
 

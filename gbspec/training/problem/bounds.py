@@ -45,6 +45,11 @@ tells nothing of the ends of an interval that are several times as far off as th
 CLOSE = 1e-3
 """Closer to a bound than this fraction of its range, a constant is there with any larger standard deviation too: that
 is of the end of the scale, where nothing changes any more, and fits stop on the way."""
+FAR, FELT = 1 / 30, 1 / 3
+"""Closer to a bound than `FAR` of its standard deviation, a constant is there also where this is below `FELT` of the
+bounds' width: such data tell it from the other bound, which an interval on the scale of training would reach."""
+ALIKE = 1e-6
+"""An end of an interval cannot be told from a bound if it is closer to it than this fraction of the value is."""
 
 
 @dataclass(frozen=True)
@@ -105,17 +110,26 @@ class Bijection:
         return sd / natural / abs(self.width) if natural else math.nan
 
     def ended_at(self, value: float, sd: float = math.nan) -> float | None:
-        """The bound that stopped a constant with this value and standard deviation (see `NEAR`, `BESIDE`, `CLOSE`);
-        None if neither did.
+        """The bound that stopped a constant with this value and standard deviation (see `NEAR`, `BESIDE`, `CLOSE`,
+        `FAR`); None if neither did.
 
         With a single bound, the distance of the starting value from it is used as the width.
         """
         for bound in (self.low, self.high) if self.low < self.high else ():
             distance, width = self.distance(value, bound), self.share(value, sd)
             near = distance < NEAR and not abs(value - bound) > CLEAR * sd
-            if near or (distance < BESIDE * width and (width < NARROW or distance < CLOSE)):
+            beside = distance < BESIDE * width and (width < NARROW or distance < CLOSE)
+            if near or beside or (distance < FAR * width and width < FELT):
                 return bound
         return None
+
+    def end(self, end: float, value: float) -> float:
+        """An end of the interval of a value, as it is told: one that two bounds hold back is the bound. What is left of
+        the map there is the error of rounding, or an underflow."""
+        for bound in (self.low, self.high) if self.two_sided and self.low < self.high else ():
+            if self.distance(end, bound) <= ALIKE * self.distance(value, bound):
+                return bound
+        return end
 
     def inside(self, value: float, share: float) -> float:
         """The value, or what lies within the bounds by this share of the range on its scale (with a single bound: of

@@ -83,7 +83,10 @@ def inside_bounds(
         return None
     reach = half * sd / slope
     ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-reach, reach)]
-    return (min(*ends, center), max(*ends, center)) if np.isfinite(ends).all() else None
+    if not np.isfinite(ends).all():
+        return None
+    told = [Bijection.of(learnable).end(end, center) for end in ends]
+    return min(*told, center), max(*told, center)
 
 
 def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:
@@ -123,7 +126,7 @@ def moving_together(
         known = {names[i] for i in group} <= set(certain)
         if value < 1 - TOGETHER and not known and not any(i in group and j in group for i, j in pairs):
             listed = " ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
-            together = ", ".join(f"`{names[i]}`" for i in group)
+            together = (" and " if len(group) == 2 else ", ").join(f"`{names[i]}`" for i in group)
             said = (
                 f"{together} are strongly correlated: the data determine the combination {listed} (in standard "
                 "deviations) better than each of them; give one of them its value, or a prior, if it is known"
