@@ -409,7 +409,7 @@ def test_residuals_that_are_no_stated_noise_are_told(noise: str, found: float, s
 )
 def test_a_minimum_that_was_found_several_times_is_not_called_bad(remarks: tuple[str, ...], doubted: bool) -> None:
     model = model_of("model m\nstate x in [0.1, 9]\nlearn k = 1\nx' = -k*x\nobserve x noise normal(0.2)\n")
-    (text,) = above_stated({"x": 0.7}, model, remarks)
+    (text,) = above_stated({"x": 0.7}, model, remarks=remarks)
     assert ("the fit is in a bad minimum" in text) is doubted
     assert ("`--effort high`" in text) is doubted
     assert "the model lacks something" in text and "the noise is larger" in text and "another model" in text

@@ -392,16 +392,5 @@ def _member(number: int, result: MemberResult) -> MemberRecord:
     stages = tuple(replace(stage, loss=finite(stage.loss)) for stage in result.stages)
     rmse = {name: finite(value) for name, value in result.rmse.items()}
     interval = finite(result.interval_loss)
-    return MemberRecord(
-        result.seed,
-        finite(result.loss),
-        rmse,
-        result.seconds,
-        stages,
-        number,
-        None,
-        interval,
-        result.channels,
-        result.likelihood,
-        result.freedom,
-    )
+    known = (result.channels, result.likelihood, result.freedom)
+    return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages, number, None, interval, *known)

@@ -85,6 +85,8 @@ class MemberResult:
     likelihood: LikelihoodRecord | None = None
     freedom: float | None = None
     """Degrees of freedom of the residuals from which the noise was estimated; None where it was not, or not known."""
+    tabled: dict[str, float] = field(default_factory=dict)
+    """Of channels with values that have standard deviations in the table: how many times as large residuals are."""
     vanished: frozenset[str] = frozenset()
     """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
 
@@ -104,23 +106,16 @@ def summarise(
     problem, solution = engine.problem, predicted(engine, theta)
     with torch.no_grad():
         constants = parameters.constants(torch.from_numpy(theta))
-    difference, seen = solution.mean - problem.packed.values, problem.valued
     blown = problem.seen & ~np.isfinite(solution.mean)
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
-    rmse, noise = {}, {}
     noise_of = _Noise.of(context, parameters, theta, freedom, [stage.name for stage in stages])
-    for i, channel in enumerate(model.channels):
-        column = difference[seen[:, i], i]
-        with np.errstate(over="ignore", invalid="ignore"):
-            rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
-        share = 1.0 if problem.scaling.share is None else float(problem.scaling.share[i])
-        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i]) * share**0.5
+    rmse, noise = _errors(model, problem, solution.mean, noise_of)
     known = len(model.constants)
     values = constants.numpy()[:, known:].mean(axis=0)
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
     followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
-    lacking = (noise_of.lack_of_fit(column, i) for i, column in enumerate(seen.T))
+    lacking = (noise_of.lack_of_fit(column, i) for i, column in enumerate(problem.valued.T))
     channels = {name: replace(one, lack_of_fit=p) for (name, one), p in zip(followed.items(), lacking, strict=True)}
     lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
     return MemberResult(
@@ -148,7 +143,21 @@ def summarise(
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
         freedom=None if model.marginal else noise_of.freedom,
+        tabled=_beside_tabled(noise_of, problem, model),
     )
+
+
+def _errors(model: Model, problem: Problem, mean: Array, noise_of: _Noise) -> tuple[dict[str, float], dict[str, float]]:
+    """Root mean square errors of whole solutions, and standard deviations of the noise, by channel."""
+    rmse, noise = {}, {}
+    difference, seen = mean - problem.packed.values, problem.valued
+    for i, channel in enumerate(model.channels):
+        column = difference[seen[:, i], i]
+        with np.errstate(over="ignore", invalid="ignore"):
+            rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
+        share = 1.0 if problem.scaling.share is None else float(problem.scaling.share[i])
+        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i]) * share**0.5
+    return rmse, noise
 
 
 def _beyond(model: Model, solution: Moments) -> list[str]:
@@ -164,6 +173,19 @@ def _beyond(model: Model, solution: Moments) -> list[str]:
         for what, found in (("solutions", solutions), ("initial states", [s for s in starts if s.name not in names]))
         for text in said_of_ranges(found)
     ]
+
+
+def _beside_tabled(noise: _Noise, problem: Problem, model: Model) -> dict[str, float]:
+    """The root mean square, by channel, of residuals over their standard deviations, with the degrees of freedom that
+    are left, where the table has such deviations: reduced chi-square's root (Bevington and Robinson, Data Reduction
+    and Error Analysis for the Physical Sciences, 2003, 6.4), outliers limited as in the noise."""
+    levels, found = problem.scaling.levels, {}
+    for i, channel in enumerate(model.channels):
+        seen = problem.seen[:, i]
+        own = np.isfinite(problem.packed.sd[seen, i]) & (problem.packed.sd[seen, i] > 0)
+        if levels is not None and levels[i] > 0 and own.any():
+            found[channel.name] = noise.deviation(problem.valued[:, i], i) / float(levels[i])
+    return found
 
 
 def only_at_its_step(

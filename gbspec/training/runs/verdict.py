@@ -27,7 +27,7 @@ VISIBLE = 1e-4
 """The same of a fit that gave no standard deviations: stages of exact data end before such fractions matter."""
 
 ABOVE = 2.0
-"""Residuals that are this many times as large as the noise that the model states are not that noise."""
+"""Residuals that are this many times as large as the noise that the model or the table states are not that noise."""
 
 COLOURED = 1e-3
 """Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
@@ -110,24 +110,36 @@ def lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
     )
 
 
-def above_stated(noise: Mapping[str, float], model: Model, remarks: Iterable[str | None] = ()) -> list[str]:
+def above_stated(
+    noise: Mapping[str, float],
+    model: Model,
+    tabled: Mapping[str, float] | None = None,
+    remarks: Iterable[str | None] = (),
+) -> list[str]:
     """A warning for each channel whose residuals, of the standard deviation `noise`, are no stated noise.
 
-    Noise is that of measurements alone: with disturbances or differences between trajectories it is not compared. A
-    minimum that a search found several times, by the `remarks` of the stages, is not called a bad one.
+    `tabled` has channels with values that have standard deviations in the table: how many times as large as these their
+    residuals are. Noise is that of measurements alone: with disturbances or differences between trajectories it is not
+    compared. A minimum that a search found several times, by the `remarks` of the stages, is not called a bad one.
     """
     tally = Tally.of(remarks)
     often = tally is not None and tally.times >= SEVERAL
     why, helps = (_LACKS, _OTHER_MODEL) if often else (_BAD_OR_LACKS, _OTHER_MINIMUM)
     out = []
     for channel in model.channels if not model.marginal else ():
-        found, stated = noise.get(channel.name, math.nan), channel.noise  # of a log-normal one as a share
-        if stated is None or stated.value is not None or not found > ABOVE * stated.scale > 0:
+        name, stated = channel.name, channel.noise
+        if tabled and name in tabled:
+            times, what = tabled[name], f"the standard deviations that the table states (`sd_{name}`)"
+        elif stated is not None and stated.value is None and stated.scale > 0:  # of a log-normal one as a share
+            times = noise.get(name, math.nan) / stated.scale
+            what = f"the noise that the model states, {stated.kind}({stated.scale:g})"
+        else:
             continue
-        out.append(
-            f"the residuals of `{channel.name}` are {found / stated.scale:.2g} times as large as the noise that the "
-            f"model states, {stated.kind}({stated.scale:g}): {why}; intervals do not hold then. What may help: {helps}"
-        )
+        if times > ABOVE:
+            out.append(
+                f"the residuals of `{name}` are {times:.2g} times as large as {what}: {why}; intervals do not hold "
+                f"then. What may help: {helps}"
+            )
     return out
 
 

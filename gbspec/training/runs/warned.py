@@ -27,7 +27,8 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
         whole += [f"member {member}: {text}" for text in (*blown, *followed, *result.left, *result.notes)]
         left = [*verdict.lacking(result.channels), *_of_residuals(result, options, model)]
         if model is not None:
-            left += verdict.above_stated(result.noise, model, [stage.remark for stage in result.stages])
+            remarks = [stage.remark for stage in result.stages]
+            left += verdict.above_stated(result.noise, model, result.tabled, remarks)
         parts += [f"member {member}: {text}" for text in (*left, *result.beyond)]
         single += [f"member {member}: {text}" for text in result.tied]
     return [*whole, *said_of_minima(results), *found_once(results, options.effort, model), *parts, *single]
