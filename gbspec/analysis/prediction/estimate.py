@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from gbspec.analysis.prediction.differences import LONGEST, TOO_LONG, suited
 from gbspec.analysis.prediction.noise import depends_on_value, residual_noise
 from gbspec.analysis.prediction.solutions import (
     Prediction,
@@ -45,8 +46,15 @@ TOLERANCE = 1e-6
 """Relative tolerance of the solutions during the estimation."""
 UNSOLVED = 1e3
 """The residuals of a solution that cannot be integrated, in standard deviations of the data."""
-TRIALS = 8
-"""Initial guesses around the prior's center that are compared before the best one is refined."""
+COARSE = 1e-4
+"""The same of those that are only compared, where that saves steps and needs no other integrator (with delays)."""
+TRIALS, AROUND = 8, 1.5
+"""Initial guesses so many standard deviations around the prior's center, which are compared before the best ones are
+refined,"""
+LEARNED = 8
+"""with at most so many of the starts that the training has learned."""
+SEVERAL = 3
+"""So many of the best guesses are improved before the best one is refined."""
 INSIDE = 1e-9
 """Distance of a guess from a bound, in standard deviations."""
 WIDE = 32
@@ -74,12 +82,12 @@ class Prior:
     sd: Array
 
 
-def prior_of(member: GeneratedModule, model: Model) -> Prior:
+def prior_of(member: GeneratedModule, model: Model, scales: Scales) -> Prior:
     """The prior from the learned initial states of the training data, else from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
         spread = spread_of_next(learned)
-        wide = np.maximum(np.abs(learned).max(axis=0), 1.0)
+        wide = np.maximum(np.abs(learned).max(axis=0), _widths(model, scales))
         return Prior(learned.mean(axis=0), np.where(spread > 0, spread, wide))
     center, sd = [], []
     for state in model.states:
@@ -88,6 +96,19 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
         center.append(guess)
         sd.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
     return Prior(np.array(center, dtype=float), np.array(sd, dtype=float))
+
+
+def _widths(model: Model, scales: Scales) -> Array:
+    """The standard deviations [n] of states of which one start is known: that says nothing of how far others are from
+    it. The declared range and the deviation of the data say how large the state can be; at least 1."""
+    found = np.ones(len(model.states))
+    for i, state in enumerate(model.states):
+        if state.range is not None and state.range.bounded:
+            found[i] = max(found[i], (state.range.high - state.range.low) / 4)
+    for j, channel in enumerate(model.channels):
+        if channel.state is not None and not scales.log[j] and np.isfinite(scales.deviation[j]):
+            found[channel.state] = max(found[channel.state], float(scales.deviation[j]))
+    return found
 
 
 def spread_of_next(values: Array) -> Array:
@@ -156,7 +177,7 @@ class Estimator:
         self.evaluator, self.model, self.scales, self.released = evaluator, model, scales, released
         self.noise = np.zeros(len(model.channels)) if noise is None else noise / scales.channel
         self.pull = max(PULL, float(np.median(self.noise)))
-        self.prior = prior_of(evaluator.instance, model)
+        self.prior = prior_of(evaluator.instance, model, scales)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
         self.own_sd = self._sd_of_own()
         self.individuals = Individuals.of_member(evaluator.instance, model)
@@ -197,20 +218,31 @@ class Estimator:
         return self._estimate(item, state, constants, free)
 
     def start_sd(self, item: Trajectory) -> Array:
-        """The prior standard deviation [n] of each initial value; smaller if a recognition network gives it."""
+        """The prior standard deviation [n] of each initial value; smaller if a recognition network gives it. Where a
+        measured value is its center, it has the noise of that one too."""
         found = recognised(self.evaluator.instance.weights, self.model, item)
-        return self.prior.sd if found is None else np.minimum(self.prior.sd, found[1])
+        sd = (self.prior.sd if found is None else np.minimum(self.prior.sd, found[1])).copy()
+        for state, (value, channel) in self._measured(item).items():
+            noise = self.noise[channel] * self.scales.channel[channel]
+            sd[state] = np.hypot(sd[state], noise * abs(value) if self.scales.log[channel] else noise)
+        return sd
 
     def _nearest(self, item: Trajectory) -> Array:
         """The prior's center or the recognition network's output, with early measurements of states inserted."""
         found = recognised(self.evaluator.instance.weights, self.model, item)
         state = (self.prior.center if found is None else found[0]).copy()
-        early = max(3, len(item.times) // 10)
+        for place, (value, _) in self._measured(item).items():
+            state[place] = value
+        return state
+
+    def _measured(self, item: Trajectory) -> dict[int, tuple[float, int]]:
+        """The first of the early measurements of each state that has one, with its channel."""
+        early, out = max(3, len(item.times) // 10), dict[int, tuple[float, int]]()
         for j, channel in enumerate(self.model.channels):
             rows = np.flatnonzero(np.isfinite(item.values[:early, j]))
             if channel.state is not None and len(rows):
-                state[channel.state] = item.values[rows[0], j]
-        return state
+                out[channel.state] = float(item.values[rows[0], j]), j
+        return out
 
     def _estimate(self, item: Trajectory, state: Array, constants: Array, free: tuple[int, ...]) -> Start:
         columns = list(free)
@@ -231,25 +263,28 @@ class Estimator:
 
         weights = self._weights(item.values)
 
-        def errors(z: Array) -> Array:
-            found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)
+        def errors(z: Array, rtol: float = TOLERANCE) -> Array:
+            found: Prediction = predict(self.evaluator, self.model, item, moved(z), rtol)
             if found.failure:
                 return worst
             return np.concatenate([(weights * self.residuals(item, found.channels))[measured], self.pull * z])
 
         with np.errstate(over="ignore"):  # squares of a diverging solution: its cost is infinite
-            trials = self._trials(scale, constants)
-            costs = np.array([float(np.sum(errors(z) ** 2)) for z in trials])
+            trials = self._trials(scale, constants, state, columns)
+            rtol = COARSE if self.model.delays else TOLERANCE
+            costs = np.array([float(np.sum(errors(z, rtol) ** 2)) for z in trials])
             solved = [trials[i] for i in np.argsort(costs, kind="stable") if costs[i] < float(np.sum(worst**2))]
             if not solved:
                 return Start(state, constants, "failed", "no initial state was found from which it can be integrated")
-            found = self._refined(errors, solved, ends := self._ends(scale, constants))
+            # No other minimum is much better than one that follows the data as closely as their noise lets it.
+            enough = int(measured.sum()) * self.pull**2 if self.noise.min() > 0 else 0.0
+            found = self._refined(errors, solved, ends := self._ends(scale, constants), enough)
             for _ in range(AGAIN - 1 if self.varying is not None else 0):
                 solution = predict(self.evaluator, self.model, item, moved(found), TOLERANCE)
                 if solution.failure:
                     break
                 weights = self._weights(solution.channels)
-                found = _least(errors, found, ends, 20)[1]
+                found = _least(errors, found, ends, 20).vector
             return moved(found)
 
     def _weights(self, channels: Array) -> Array | float:
@@ -265,20 +300,29 @@ class Estimator:
         found = self.varying(np.where(np.isfinite(channels), channels, 0.0)) / self.scales.channel
         return np.maximum(found, LEAST_NOISE * self.pull)
 
-    def _refined(self, errors: Callable[[Array], Array], trials: list[Array], ends: tuple[Array, Array]) -> Array:
-        """The best of the refined guesses: of the first one alone, if no constants have a range of their own."""
+    def _refined(
+        self, errors: Callable[[Array], Array], trials: list[Array], ends: tuple[Array, Array], enough: float
+    ) -> Array:
+        """The best of the refined guesses: of the first ones alone, if no constants have a range of their own, and of
+        no more than leads to a sum of squares of `enough`."""
         if not self.own:
-            return _least(errors, trials[0], ends, 20)[1]
+            near: list[Least] = []
+            for trial in trials[:SEVERAL]:
+                near.append(_least(errors, trial, ends, SCREEN))
+                if 2 * near[-1].cost <= enough:
+                    break
+            best = min(near, key=lambda found: found.cost)
+            return best.vector if best.converged else _least(errors, best.vector, ends, 20).vector
         # The guesses with the least cost are often merely those with the smallest effect: others are tried too.
         some = [*trials[: SCREENED // 2], *trials[SCREENED // 2 :: max(len(trials) * 2 // SCREENED - 1, 1)]][:SCREENED]
-        screened = sorted((_least(errors, trial, ends, SCREEN) for trial in some), key=lambda found: found[0])
-        refined: list[tuple[float, Array]] = []
-        for _, near in screened[:REFINED]:
-            refined.append(_least(errors, near, ends, 20))
-            least = min(cost for cost, _ in refined)
-            if sum(cost <= least * (1 + SAME) for cost, _ in refined) >= AGREED:
+        screened = sorted((_least(errors, trial, ends, SCREEN) for trial in some), key=lambda found: found.cost)
+        refined: list[Least] = []
+        for one in screened[:REFINED]:
+            refined.append(one if one.converged else _least(errors, one.vector, ends, 20))
+            least = min(found.cost for found in refined)
+            if sum(found.cost <= least * (1 + SAME) for found in refined) >= AGREED:
                 break
-        return min(refined, key=lambda found: found[0])[1]
+        return min(refined, key=lambda found: found.cost).vector
 
     def _ends(self, scale: Array, constants: Array) -> tuple[Array, Array]:
         """The bounds of the unknowns, in standard deviations from the guess; those of constants alone are finite."""
@@ -289,27 +333,83 @@ class Estimator:
             high[-len(own) :] = (self.high[own] - constants[own]) / sd + INSIDE
         return low, high
 
-    def _trials(self, scale: Array, constants: Array) -> list[Array]:
-        """The guess, points around it, in units of the standard deviation, and constants over their whole ranges."""
-        out = [np.zeros(len(scale)), *(3.0 * quasirandom_points(TRIALS, len(scale)) - 1.5)]
+    def _trials(self, scale: Array, constants: Array, state: Array, free: list[int]) -> list[Array]:
+        """The guess, points around it, in units of the standard deviation, starts that were learned in training, and
+        constants over their whole ranges."""
+        low, high = np.full(len(scale), -AROUND), np.full(len(scale), AROUND)
+        for i, place in enumerate(free):
+            box = self.model.states[place].range
+            if box is not None and box.low < state[place] < box.high:  # no guess where the state cannot be
+                low[i] = max(low[i], (box.low - state[place]) / scale[i])
+                high[i] = min(high[i], (box.high - state[place]) / scale[i])
+        around = low + (high - low) * quasirandom_points(TRIALS, len(scale))
+        out = [np.zeros(len(scale)), *around, *self._learned(scale, constants, state, free)]
         if not self.own or self.individuals is not None:
             return out
         own, points = list(self.own), sobol(WIDE, len(scale), 0)
         learnables = {k.name: k for k in self.model.learnables}
         named = tuple(learnables[name] for name in self.evaluator.instance.per_trajectory)
-        wide = 3.0 * points - 1.5
+        wide = low + (high - low) * points
         wide[:, -len(own) :] = (spread_over_ranges(named, points[:, -len(own) :]) - constants[own]) / self.own_sd
         return [*out, *wide]
 
+    def _learned(self, scale: Array, constants: Array, state: Array, free: list[int]) -> list[Array]:
+        """Starts of the training, with their own constants, as unknowns: near one of them a solution may follow the
+        data that guesses around a measured value do not come close to."""
+        weights = self.evaluator.instance.weights
+        learned = weights.get("initial")
+        if learned is None or not len(learned) or not free:
+            return []
+        chosen = np.unique(np.linspace(0, len(learned) - 1, min(LEARNED, len(learned))).round().astype(int))
+        found = np.zeros((len(chosen), len(scale)))
+        found[:, : len(free)] = (np.asarray(learned)[np.ix_(chosen, free)] - state[free]) / scale[: len(free)]
+        for i, place in enumerate(self.own if self.individuals is None else ()):
+            values = weights.get(f"per_trajectory.{self.evaluator.instance.constants[place]}")
+            if values is not None:
+                found[:, len(free) + i] = (np.asarray(values)[chosen] - constants[place]) / self.own_sd[i]
+        return [one for one in found if np.isfinite(one).all()]
 
-def _least(
-    errors: Callable[[Array], Array], guess: Array, ends: tuple[Array, Array], evaluations: int
-) -> tuple[float, Array]:
-    """The cost and the vector that least squares reach within bounds."""
+
+class Least(NamedTuple):
+    """Half the sum of squares and the vector that least squares have reached, and whether it is a minimum."""
+
+    cost: float
+    vector: Array
+    converged: bool
+
+
+def _least(errors: Callable[[Array], Array], guess: Array, ends: tuple[Array, Array], evaluations: int) -> Least:
+    """What least squares reach within bounds."""
     from scipy.optimize import least_squares
 
+    steps = np.full(len(guess), LONGEST)
+    last: list[tuple[Array, Array]] = []
+
+    def residual(z: Array) -> Array:
+        last[:] = [(z.copy(), errors(z))]
+        return last[0][1]
+
+    def change(z: Array, f: Array, i: int, step: float) -> Array:
+        moved = z.copy()
+        moved[i] += step if z[i] + step < ends[1][i] else -step
+        return np.asarray((errors(moved) - f) / (moved[i] - z[i]), dtype=np.float64)
+
+    def slopes(z: Array) -> Array:
+        f = last[0][1] if np.array_equal(last[0][0], z) else residual(z)
+        columns = []
+        for i in range(len(z)):
+            column = change(z, f, i, steps[i])
+            wanted = suited(steps[i], steps[i] * _rms(column), _rms(f))
+            if steps[i] > TOO_LONG * wanted:
+                column = change(z, f, i, wanted)
+            steps[i] = wanted
+            columns.append(column)
+        return np.stack(columns, axis=1)
+
     inside = np.clip(guess, ends[0] + INSIDE, ends[1] - INSIDE)
-    found = least_squares(
-        errors, inside, bounds=ends, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=evaluations
-    )
-    return float(found.cost), np.asarray(found.x, dtype=float)
+    found = least_squares(residual, inside, slopes, bounds=ends, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=evaluations)
+    return Least(float(found.cost), np.asarray(found.x, dtype=float), bool(found.status > 0))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

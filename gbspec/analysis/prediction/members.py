@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gbspec.analysis.prediction.differences import TOO_LONG, suited
 from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
 from gbspec.analysis.prediction.estimate import Estimator, estimator_of
 from gbspec.analysis.prediction.noise import measured_deviations
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 NUDGE = 1e-3
 """The step of the finite differences that propagate the uncertainty of an initial value or constant, in units of its
 standard deviation: the prior one, or that of the measurement."""
+SHORTENED = 4
+"""So many steps are tried where the solution bends within them."""
 
 
 def hidden_states(model: Model) -> tuple[int, ...]:
@@ -120,19 +123,47 @@ class MemberPredictions:
         found = predict(self.evaluator if evaluator is None else evaluator, self.model, item, start)
         return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
 
-    def _slope(
-        self, item: Trajectory, start: Start, size: float, *, state: int | None = None, constant: int | None = None
+    def _moved(
+        self, item: Trajectory, start: Start, change: float, *, state: int | None = None, constant: int | None = None
     ) -> Array:
-        """The derivative [R, V] of the solution by an initial value or a constant of this size, by differences."""
-        sides, nudge = [], NUDGE * size
-        for by in (nudge, -nudge):
-            moved, constants = start.state.copy(), start.constants.copy()
-            if state is not None:
-                moved[state] += by
-            if constant is not None:
-                constants[constant] += by
-            sides.append(self._solve(item, started(self.evaluator, item, moved, constants, start.origin))[1])
-        return np.asarray((sides[0] - sides[1]) / (2 * nudge), dtype=np.float64)
+        """The solution [R, V] with an initial value or a constant changed."""
+        moved, constants = start.state.copy(), start.constants.copy()
+        if state is not None:
+            moved[state] += change
+        if constant is not None:
+            constants[constant] += change
+        return self._solve(item, started(self.evaluator, item, moved, constants, start.origin))[1]
+
+    def _slope(self, item: Trajectory, start: Start, size: float, *, state: int) -> Array:
+        """The derivative [R, V] of the solution by an initial value of this size, by differences."""
+        nudge = NUDGE * size
+        up, down = (self._moved(item, start, change, state=state) for change in (nudge, -nudge))
+        return np.asarray((up - down) / (2 * nudge), dtype=np.float64)
+
+    def _suited_slope(
+        self,
+        item: Trajectory,
+        start: Start,
+        size: float,
+        place: tuple[int | None, int | None],
+        variables: Array,
+        in_residuals: Array,
+        typical: float,
+    ) -> Array:
+        """The derivative [R, V] of the solution `variables` by an initial value or a constant (`place`) of this size,
+        by differences of a step that suits the residuals of a window, whose root mean square is `typical` and which
+        have the derivatives `in_residuals` [rows, C] by what is predicted."""
+        (rows, channels), (state, constant), step = in_residuals.shape, place, NUDGE
+        count = max(int(np.count_nonzero(in_residuals)), 1)
+        for tried in range(SHORTENED):
+            up = self._moved(item, start, step * size, state=state, constant=constant)
+            changed = (up - variables)[:rows, :channels] * in_residuals
+            wanted = suited(step, float(np.sqrt(np.sum(changed[in_residuals != 0] ** 2) / count)), typical)
+            if step <= TOO_LONG * wanted or tried == SHORTENED - 1:
+                break
+            step = wanted
+        down = self._moved(item, start, -step * size, state=state, constant=constant)
+        return np.asarray((up - down) / (2 * step * size), dtype=np.float64)
 
     def _uncertainty(
         self, item: Trajectory, seen: Trajectory, start: Start, variables: Array, estimator: Estimator
@@ -149,19 +180,25 @@ class MemberPredictions:
         if not free and not own:
             return np.zeros_like(variables), unchanged
         scale = np.concatenate([estimator.start_sd(seen)[free], estimator.own_sd])
-        columns = [self._slope(item, start, scale[k], state=free[k]) for k in range(len(free))]
-        columns += [self._slope(item, start, scale[len(free) + k], constant=place) for k, place in enumerate(own)]
-        moves = np.stack([by * column for by, column in zip(scale, columns, strict=True)], axis=-1)
         rows, channels = len(seen.times), seen.values.shape[1]
         predicted, scales = variables[:rows, :channels], estimator.scales
         factor = scales.factor(seen)
         measured = factor > 0
         misfit = estimator.residuals(seen, predicted)[measured]
         typical = float(np.sqrt(np.mean(misfit**2))) if measured.any() else 0.0
+        in_residuals = slopes(predicted, seen.values, factor, scales.log)
+        places: list[tuple[int | None, int | None]] = [*((i, None) for i in free), *((None, i) for i in own)]
+        moves = np.stack(
+            [
+                size * self._suited_slope(item, start, size, place, variables, in_residuals, typical)
+                for size, place in zip(scale, places, strict=True)
+            ],
+            axis=-1,
+        )
         deviation = estimator.deviation(predicted)
         if estimator.varying is None:
             deviation = np.maximum(deviation, max(typical, 1e-9))
-        of_residuals = slopes(predicted, seen.values, factor, scales.log) / deviation
+        of_residuals = in_residuals / deviation
         weighted = (moves[:rows, :channels] * of_residuals[:, :, None])[measured]
         inverse = np.linalg.inv(weighted.T @ weighted + np.eye(len(scale)))
 
