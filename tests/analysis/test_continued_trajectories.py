@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.prediction.forecast import Errors, forecast, said_of_coverage
+from gbspec.analysis.validation.validate import validate
 from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory, beginnings, continued
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
@@ -115,6 +116,18 @@ def test_what_was_learned_of_a_trajectory_predicts_its_later_rows(run: Run) -> N
     assert other.start.origin == "estimated"
     assert found.errors()["x"].n == 5 + other.used.count("predicted")
     assert "the first rows are of the training data" in str(found)
+
+
+def test_a_validation_takes_what_was_learned_of_the_first_rows(run: Run) -> None:
+    table = Trajectories((decay("new name", 0.6, seed=1), decay("other", 0.4, seed=9)), ("x",))
+    found, ahead = validate(run, table, truth=False), forecast(run, table)
+    again, other = found.trajectories
+    assert (again.initial, other.initial) == ("continued", "estimated")
+    np.testing.assert_allclose(found.predictions[0].channels[:, 0], ahead.items[0].mean[:, 0], rtol=1e-9)
+    line = "1 trajectory: the first rows are of the training data"
+    assert line in str(found) and line in str(ahead)
+    assert sum("`new name`" in warning for warning in found.warnings) == 0, "its start was not estimated"
+    assert "first rows" not in str(validate(run, Trajectories(table.items[1:], ("x",)), truth=False))
 
 
 def test_a_window_that_is_given_is_kept_and_training_rows_are_no_errors(run: Run) -> None:

@@ -1,4 +1,5 @@
 from .estimate import predictions as predictions
+from .solutions import ORIGINS as ORIGINS
 from .solutions import Prediction as Prediction
 from .solutions import extrapolated as extrapolated
 from .solutions import learned_positions as learned_positions

@@ -29,7 +29,7 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
-from gbspec.data import absent_states, recognised, scales_of, sobol, spread_over_ranges
+from gbspec.data import absent_states, continued, recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
 from gbspec.runs import NORMAL_90, quantile
 
@@ -125,17 +125,23 @@ def spread_of_next(values: Array) -> Array:
 def predictions(
     evaluator: Evaluator, model: Model, trajectories: Trajectories, fit: FitRecord | None = None
 ) -> list[Prediction]:
-    """The predictions of one member for a table, from learned initial states if possible, else known or estimated ones.
+    """The predictions of one member for a table, from learned initial states if possible (of the trajectory, or of one
+    whose rows it begins with), else known or estimated ones.
 
     `fit` is the content of the run's `fit.json`, if there is a run.
     """
     scales = scales_of(model, trajectories) if fit is None else fit.scales_for(model, trajectories)
     estimator = refitting(evaluator, model, fit, scales)
     positions = learned_positions(evaluator.instance, trajectories, None if fit is None else fit.data)
-    starts = [
-        estimator.start(item) if position is None else learned_start(evaluator, position, item)
-        for item, position in zip(trajectories.items, positions, strict=True)
-    ]
+    longer = continued(evaluator.instance.info.get("beginnings"), trajectories.items)
+    starts = []
+    for item, position, begun in zip(trajectories.items, positions, longer, strict=True):
+        if position is not None:
+            starts.append(learned_start(evaluator, position, item))
+        elif begun is not None:  # the training has learned the start of a trajectory that begins with these rows
+            starts.append(learned_start(evaluator, begun[0], item, "continued"))
+        else:
+            starts.append(estimator.start(item))
     return [predict(evaluator, model, item, start) for item, start in zip(trajectories.items, starts, strict=True)]
 
 

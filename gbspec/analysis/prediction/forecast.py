@@ -18,7 +18,7 @@ from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.far_outside import said_of_states
 from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import Start
+from gbspec.analysis.prediction.solutions import ORIGINS, Start
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import window_rows
 from gbspec.arrays import Array, Mask
@@ -191,16 +191,6 @@ class Forecast(Tabled):
                 lines.append(f"{counted(len(of_it), 'trajectory')}: {words}" + (f" ({what})" if what else ""))
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
-
-
-ORIGINS = {
-    "learned": "part of the training data: predicted from the learned initial state",
-    "continued": "the first rows are of the training data: later ones are predicted from what was learned there",
-    "known": "the initial state is given by the first row and the model",
-    "estimated": "what is unknown was estimated from the first rows, with all shared parameters held fixed",
-    "smoothed": "shown by all measurements; `--window N` predicts the rows after the first N from these",
-    "failed": "no initial state was found from which it can be solved",
-}
 
 
 def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None) -> Forecast:

@@ -28,6 +28,16 @@ Origin = Literal["learned", "continued", "known", "estimated", "smoothed", "fail
 model, or measured in the first row); estimated from the trajectory's own data; smoothed by all of them (disturbances);
 or failed, if none was found."""
 
+ORIGINS: dict[Origin, str] = {
+    "learned": "part of the training data: predicted from the learned initial state",
+    "continued": "the first rows are of the training data: later ones are predicted from what was learned there",
+    "known": "the initial state is given by the first row and the model",
+    "estimated": "what is unknown was estimated from the first rows, with all shared parameters held fixed",
+    "smoothed": "shown by all measurements; `--window N` predicts the rows after the first N from these",
+    "failed": "no initial state was found from which it can be solved",
+}
+"""What is said of trajectories by the origin of their starts."""
+
 RTOL = 1e-8
 IN_LOGARITHMS = 1e-6
 """The absolute tolerance, as a part of the relative one, where logarithms are measured: of values that fall by

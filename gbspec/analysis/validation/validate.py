@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction, predictions
+from gbspec.analysis.prediction import ORIGINS, Prediction, extrapolated, mean_prediction, predictions
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
@@ -173,6 +173,8 @@ class Validation(Tabled):
             ]
         if self.worst is not None:
             lines.append(str(self.worst))
+        longer = sum(item.initial == "continued" for item in self.trajectories)
+        lines += [f"{counted(longer, 'trajectory')}: {ORIGINS['continued']}"] if longer else []
         check = self.step_check
         if check.half_step is not None and check.adaptive is not None:
             lines.append(f"step {check.step:.6g}: half step {check.half_step:.3g}, adaptive {check.adaptive:.3g}")
@@ -194,7 +196,8 @@ def validate(
     """Errors of a run on data (if given), the check of its step, and its errors against the truth.
 
     Predictions are solved by CVODES from each trajectory's initial state to its end without using later data: the
-    initial state is the learned one on training data, the known one if the first row or the model gives it, and else
+    initial state is the learned one on training data, and of trajectories that begin with the rows of one of these and
+    go on; the known one if the first row or the model gives it, and else
     estimated from the trajectory itself. The zeros of absent states do not count, as in the training. The mean of the
     members is the mean of their predictions. `sampling` and `metrics` determine the comparison with the truth; default:
     the model's case if it is bundled, else as in the data (`data_sampling`), and general values without data.
