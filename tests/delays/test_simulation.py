@@ -61,3 +61,18 @@ def test_fixed_steps_of_the_evaluator_are_those_of_the_module() -> None:
     own = module.simulate([0.5], times, max_step=1.0).numpy()
     assert np.allclose(fixed, own, atol=1e-13)
     assert 1e-10 < np.abs(fixed - halved).max() < 1e-5
+
+
+def test_every_output_costs_about_one_step() -> None:
+    """Steps go on with the length of those before an output, where nothing jumps, and do not begin with tiny ones."""
+    evaluator = Evaluator(load_module(model_of(MACKEY_GLASS))({"constants": np.array([17.0, 0.2, 0.1])}))
+    rates, rhs = [], evaluator.rhs
+
+    def counted(time: float, *others: object) -> object:
+        rates.append(time)
+        return rhs(time, *others)
+
+    evaluator.rhs = counted
+    evaluator.integrate([0.5], np.linspace(0.0, 100.0, 201), rtol=1e-8, atol=1e-8)
+    # A step and its dense output take 15 rates, what checks the first one of 206 stretches another.
+    assert len(rates) < 1.3 * 16 * 206

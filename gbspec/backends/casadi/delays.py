@@ -98,6 +98,7 @@ class _Trajectory:
         self.within = CLOSE * max(end - begin, abs(begin), abs(end)) if scheduled else 0.0
         self.past: list[_Piece] = []
         self.begins: list[float] = []
+        self.pace: float | None = None
         self.tolerance = (
             max(LOCAL * problem.rtol, FINEST * 10),
             np.maximum(LOCAL * problem.atol, FINEST) * problem.scales,
@@ -194,19 +195,23 @@ class _Trajectory:
             return self._rate(time, state, middle)
 
         rtol, atol = self.tolerance
+        # A hair below the shortest delay, so that rounding never looks beyond the last step.
+        longest = (1 - 1e-9) * float(self.lags.min())
+        # A stretch begins with the step that the one before it went on with: a guess of its own is ten to a hundred
+        # times too short, and the many stretches between outputs would spend most of their steps on growing it.
+        first = None if self.pace is None else min(self.pace, longest, b - a)
         with np.errstate(all="ignore"):
-            # A hair below the shortest delay, so that rounding never looks beyond the last step.
-            solver = DOP853(
-                rate, a, x, b, max_step=(1 - 1e-9) * float(self.lags.min()), rtol=max(rtol, 3e-14), atol=atol
-            )
+            solver = DOP853(rate, a, x, b, max_step=longest, rtol=max(rtol, 3e-14), atol=atol, first_step=first)
             while solver.status == "running":
-                begin = solver.t
+                begin, proposed = solver.t, solver.h_abs
                 solver.step()
                 if solver.status == "failed" or not np.isfinite(solver.y).all() or len(self.past) > MANY:
                     where = f"t = {solver.t:.6g}"
                     raise ComputationError("the solution cannot be continued", where=where)
                 self.past.append(_Piece(begin, solver.dense_output()))
                 self.begins.append(begin)
+                # The last step is cut at the end of the stretch, and says little of how long it could have been.
+                self.pace = max(float(proposed), float(solver.h_abs)) if solver.status == "finished" else None
         return np.asarray(solver.y, dtype=np.float64)
 
     def _rate(self, time: float, state: Array, toward: float) -> Array:
