@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.analysis.prediction.forecast import forecast
+from gbspec.analysis.prediction.forecast import Errors, forecast
 from gbspec.analysis.validation.metrics import channel_errors
 from gbspec.analysis.validation.step_check import StepCheck
-from gbspec.analysis.validation.validate import Validation, validate
+from gbspec.analysis.validation.validate import Validation, WorstRow, validate
 from gbspec.data import Trajectories
 from gbspec.report.html.tables import metrics
 from gbspec.report.verdict import verdict
@@ -56,7 +56,27 @@ def test_the_worst_row_is_the_worst_of_logarithms(fitted: tuple[Run, Trajectorie
     worst, values = found.worst, np.concatenate([item.values[:, 0] for item in fitted[1].items])
     assert worst is not None
     assert worst.deviations == pytest.approx(abs(np.log(worst.predicted / worst.measured)) / np.log(values).std())
-    assert str(worst).endswith("standard deviations of the logarithms apart")
+    ratio = max(worst.predicted / worst.measured, worst.measured / worst.predicted)
+    assert worst.of_noise == pytest.approx(np.log(ratio) / (fitted[0].fit.noise["x"] or 0.0))
+    assert f"{worst.of_noise:.2g} standard deviations of the noise" in str(worst)
+
+
+@pytest.mark.parametrize(
+    ("measured", "predicted", "logarithms", "of_noise", "said"),
+    [
+        (28.21, 33.02, True, None, "measured 28.21 mg/L, predicted 33.02 mg/L: 17 % apart"),
+        (1.0, 3.5, True, 5.0, "predicted 3.5 mg/L: a factor of 3.5 apart, 5 standard deviations of the noise"),
+        (3.5, 1.0, True, 5.0, "predicted 1 mg/L: a factor of 3.5 apart, 5 standard deviations of the noise"),
+        (3.5, -1.0, True, 5.0, "predicted -1 mg/L: 4.5 mg/L apart, 5 standard deviations of the noise"),
+        (0.94, 0.959, False, 2.3, "predicted 0.959 mg/L: 0.019 mg/L apart, 2.3 standard deviations of the noise"),
+        (0.94, 0.959, False, None, "predicted 0.959 mg/L: 0.019 mg/L apart"),
+    ],
+)
+def test_the_distance_of_the_worst_row_is_in_terms_of_the_measurement(
+    measured: float, predicted: float, logarithms: bool, of_noise: float | None, said: str
+) -> None:
+    worst = WorstRow("a", 1.0, "x", measured, predicted, 0.11, logarithms, of_noise, "mg/L")
+    assert str(worst).endswith(said)
 
 
 def test_errors_of_predictions_are_of_logarithms(fitted: tuple[Run, Trajectories]) -> None:
@@ -69,7 +89,21 @@ def test_errors_of_predictions_are_of_logarithms(fitted: tuple[Run, Trajectories
     one = made.errors()["x"]
     assert one.nrmse == pytest.approx(np.sqrt(np.mean((measured - mean) ** 2)) / measured.std())
     assert one.to_json()["logarithms"] is True
-    assert "that of logarithms" in str(made)
+    assert one.rmse_of_logarithms == pytest.approx(np.sqrt(np.mean((measured - mean) ** 2)))
+    assert one.to_json()["rmse_of_logarithms"] == one.rmse_of_logarithms
+    assert f"; of logarithms {one.rmse_of_logarithms:.3g} (a typical " in str(made)
+
+
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        (0.061, "rmse 14.2; of logarithms 0.061 (a typical error of 6.1 %), 90 % inside"),
+        (0.8, "rmse 14.2; of logarithms 0.8 (a typical factor of 2.2), 90 % inside"),
+    ],
+)
+def test_errors_of_logarithms_are_told_as_relative_errors(size: float, said: str) -> None:
+    assert said in str(Errors(40, 14.2, 0.0461, 0.9, True, size))
+    assert "rmse 14.2, 0.0461 of their standard deviation, 90 % inside" in str(Errors(40, 14.2, 0.0461, 0.9))
 
 
 def test_only_errors_of_logarithms_are_marked() -> None:

@@ -1,4 +1,5 @@
 from .estimate import predictions as predictions
+from .noise import noise_at as noise_at
 from .solutions import ORIGINS as ORIGINS
 from .solutions import Prediction as Prediction
 from .solutions import extrapolated as extrapolated

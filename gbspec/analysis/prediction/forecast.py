@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 Use = Literal["training", "window", "predicted"]
 """The use of a row: in training, in the estimation of the initial state, or none."""
 
+RELATIVE = 0.2
+"""Differences of logarithms below this are told as relative errors; larger ones, of which these differ, as factors."""
 ENOUGH, REFUTED = 10, 0.6
 """Of at least so many measurements fewer than this share lie inside 90 % intervals where a warning is given. It is a
 sign and no test: errors of one trajectory are not independent of each other."""
@@ -80,7 +82,7 @@ class Errors:
     """Errors at the `n` measurements that were not used; `covered` is the fraction of them inside the intervals.
 
     `rmse` is in the channel's unit; `nrmse` is relative to the standard deviation of these measurements, both of
-    logarithms where the noise is log-normal (`logarithms`).
+    logarithms where the noise is log-normal (`logarithms`), as is `rmse_of_logarithms`.
     """
 
     n: int
@@ -88,19 +90,23 @@ class Errors:
     nrmse: float
     covered: float
     logarithms: bool = False
+    rmse_of_logarithms: float = math.nan
 
     def to_json(self) -> dict[str, object]:
         """The errors as JSON; undefined numbers are null, and `logarithms` is there where these are compared."""
         numbers = {name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}
-        return {"n": self.n, **numbers, **({"logarithms": True} if self.logarithms else {})}
+        more = {"logarithms": True, "rmse_of_logarithms": finite(self.rmse_of_logarithms)} if self.logarithms else {}
+        return {"n": self.n, **numbers, **more}
 
     def __str__(self) -> str:
         what = counted(self.n, "measurement that was not used", "measurements that were not used")
-        relative = f"{self.nrmse:.3g} of their standard deviation"
+        relative = f", {self.nrmse:.3g} of their standard deviation"
         if self.logarithms:
-            relative = f"that of logarithms {self.nrmse:.3g} of the standard deviation of theirs"
+            size = self.rmse_of_logarithms
+            typical = f"error of {100 * size:.2g} %" if size < RELATIVE else f"factor of {math.exp(size):.2g}"
+            relative = f"; of logarithms {size:.3g} (a typical {typical})"
         inside = f"{100 * self.covered:.0f} % inside the 90 % intervals"
-        return f"{what}; rmse {self.rmse:.4g}, {relative}, {inside}"
+        return f"{what}; rmse {self.rmse:.4g}{relative}, {inside}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -159,8 +165,9 @@ class Forecast(Tabled):
                 values, predicted = on_fitted_scale(measured[seen], mean[seen], log)
                 width = float(np.nanstd(values))
                 inside = (measured >= low) & (measured <= high)
-                relative = float(np.sqrt(np.nanmean((values - predicted) ** 2))) / width if width > 0 else math.nan
-                found[name] = Errors(int(seen.sum()), rmse, relative, float(np.mean(inside[seen])), log)
+                size = float(np.sqrt(np.nanmean((values - predicted) ** 2)))
+                relative, covered = size / width if width > 0 else math.nan, float(np.mean(inside[seen]))
+                found[name] = Errors(int(seen.sum()), rmse, relative, covered, log, size if log else math.nan)
         return found
 
     def to_json(self) -> dict[str, object]:

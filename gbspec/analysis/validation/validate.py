@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gbspec.analysis.prediction import ORIGINS, Prediction, extrapolated, mean_prediction, predictions
+from gbspec.analysis.prediction import ORIGINS, Prediction, extrapolated, mean_prediction, noise_at, predictions
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from gbspec.analysis.systems import Extrapolation
     from gbspec.backends import Evaluator
-    from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
+    from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories, Trajectory
     from gbspec.ir import Model
     from gbspec.runs import Run, Support
 
@@ -63,7 +63,11 @@ class TrajectoryError:
 @dataclass(frozen=True)
 class WorstRow:
     """The measurement that is predicted worst, by its error in standard deviations of its channel's data; of their
-    logarithms, where the noise is log-normal (`logarithms`)."""
+    logarithms, where the noise is log-normal (`logarithms`).
+
+    The text has the error in terms of the measurement: in its `unit`, or relative to it where logarithms are compared,
+    and in standard deviations of the noise (`of_noise`) where this is known.
+    """
 
     trajectory: str
     time: float
@@ -72,12 +76,20 @@ class WorstRow:
     predicted: float
     deviations: float
     logarithms: bool = field(default=False, metadata=OMITTED)
+    of_noise: float | None = field(default=None, metadata=OMITTED)
+    unit: str = field(default="", metadata=OMITTED)
 
     def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        apart = f"{abs(self.predicted - self.measured):.2g}{unit}"
+        ratio = self.predicted / self.measured if self.logarithms and self.measured > 0 else 0.0
+        if ratio > 0:
+            larger = max(ratio, 1 / ratio)
+            apart = f"{100 * abs(ratio - 1):.2g} %" if larger < 2 else f"a factor of {larger:.3g}"
+        noise = "" if self.of_noise is None else f", {self.of_noise:.2g} standard deviations of the noise"
         return (
             f"worst row: {self.channel} of trajectory `{self.trajectory}` at {self.time:.6g}: measured "
-            f"{self.measured:.4g}, predicted {self.predicted:.4g}, {self.deviations:.2g} standard deviations "
-            + ("of the logarithms apart" if self.logarithms else "apart")
+            f"{self.measured:.4g}{unit}, predicted {self.predicted:.4g}{unit}: {apart} apart{noise}"
         )
 
 
@@ -221,7 +233,7 @@ def validate(
         known = extrapolation_of(run, None if member == "mean" else member)
         present = present_values(run.model, trajectories)
         channels, errors = _on_data(run.model, present, predicted, known)
-        worst = worst_row(run.model, present, predicted)
+        worst = worst_row(run, present, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
@@ -267,9 +279,9 @@ def _on_data(
     return channels, tuple(errors)
 
 
-def worst_row(model: Model, trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
+def worst_row(run: Run, trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
     """The measurement with the largest error; None if there is none that could be compared."""
-    log, scales = logarithmic(model), deviations(model, trajectories)
+    log, scales = logarithmic(run.model), deviations(run.model, trajectories)
     found: WorstRow | None = None
     for item, one in zip(trajectories.items, predictions, strict=True):
         values, predicted = on_fitted_scale(item.values, one.channels, log)
@@ -286,8 +298,23 @@ def worst_row(model: Model, trajectories: Trajectories, predictions: Sequence[Pr
                 float(one.channels[row, column]),
                 float(off[row, column]),
                 bool(log[column]),
+                _of_noise(run, item, one, (int(row), int(column)), float(off[row, column] * scales[column])),
+                run.model.channels[int(column)].unit or "",
             )
     return found
+
+
+def _of_noise(run: Run, item: Trajectory, one: Prediction, place: tuple[int, int], error: float) -> float | None:
+    """The error of a measurement, of its logarithm where the noise is log-normal, in standard deviations of its noise:
+    of the one that the table states, or of that of the fit; None where there is none."""
+    row, column = place
+    value, size = (abs(float(each[place])) for each in (one.channels, item.values))
+    noise = noise_at(run, one.channels[row][None])[0, column] / np.sqrt(max(float(item.counts[place]), 1.0))
+    if np.isfinite(item.sd[place]):
+        value, noise = size, item.sd[place]
+    if bool(logarithmic(run.model)[column]):
+        noise = noise / value if value > 0 else 0.0
+    return float(error / noise) if np.isfinite(noise) and noise > 0 else None
 
 
 def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:
