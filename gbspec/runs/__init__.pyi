@@ -25,6 +25,7 @@ from .quantiles import NORMAL_90 as NORMAL_90
 from .quantiles import quantile as quantile
 from .record import CERTAIN as CERTAIN
 from .record import DAMAGED as DAMAGED
+from .record import DEPENDS as DEPENDS
 from .record import BackendRecord as BackendRecord
 from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord

@@ -252,6 +252,10 @@ def _loss(channels: Mapping[str, ChannelRecord], weights: Mapping[str, float]) -
     return 0.5 * sum(count * error for count, error in found) / max(sum(count for count, _ in found), 1)
 
 
+DEPENDS = 0.01
+"""A difference above this fraction of the states' range means that solutions depend on the step of a fit."""
+
+
 @dataclass(frozen=True)
 class StepRecord:
     """Check of a member's step: largest differences relative to the states' ranges (None: no check, or not finite)."""

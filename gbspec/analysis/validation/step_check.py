@@ -20,7 +20,7 @@ from gbspec.arrays import Array
 from gbspec.data import evenly_spaced
 from gbspec.files import finite
 from gbspec.frames import counted
-from gbspec.runs import StepRecord, encode
+from gbspec.runs import DEPENDS, StepRecord, encode
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction import Prediction
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 
-DEPENDS = 0.01
-"""A difference above this fraction of the states' range means that the right-hand side depends on its step."""
 CONVERGED = 1e-4
 """If half the step changes less than this, the adaptive solution differs for another reason than the step."""
 LOOKED_AT = 24
