@@ -1,4 +1,6 @@
 from .estimate import predictions as predictions
+from .followed import missed as missed
+from .followed import said_of_starts as said_of_starts
 from .noise import noise_at as noise_at
 from .solutions import ORIGINS as ORIGINS
 from .solutions import Prediction as Prediction

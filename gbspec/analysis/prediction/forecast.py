@@ -16,6 +16,7 @@ import polars as pl
 
 from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.far_outside import said_of_states
+from gbspec.analysis.prediction.followed import missed, said_of_starts
 from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import ORIGINS, Start
@@ -30,7 +31,8 @@ from gbspec.ir import logarithmic, on_fitted_scale
 from gbspec.runs import NORMAL_90, said_of_training
 
 if TYPE_CHECKING:
-    from gbspec.data import Trajectories
+    from gbspec.analysis.prediction.followed import Missed
+    from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.ir import Model
     from gbspec.runs import Run
 
@@ -42,6 +44,13 @@ RELATIVE = 0.2
 ENOUGH, REFUTED = 10, 0.6
 """Of at least so many measurements fewer than this share lie inside 90 % intervals where a warning is given. It is a
 sign and no test: errors of one trajectory are not independent of each other."""
+
+
+REMEDY = (
+    "A longer or a shorter `--window` may lead to another one; a start that is known can be given by the first row of "
+    "the table (without `--window`) or by `initial` in the model"
+)
+"""What can be done about a start that does not lead along its rows."""
 
 
 @dataclass(frozen=True)
@@ -243,12 +252,26 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         warnings=(
             *said_of_items(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
             *_without_effect(items, window),
+            *said_of_starts(_missed(run, scales, present, items), REMEDY),
             *(said_of_training(run.fit.members) if any("predicted" in item.used for item in items) else ()),
             *said_of_ends(run.model, items, hidden),
             *said_of_states(run.model, items, hidden),
         ),
     )
     return replace(found, warnings=(*found.warnings, *said_of_coverage(found.errors())))
+
+
+def _missed(
+    run: Run, scales: Scales, present: Sequence[Trajectory], items: Sequence[PredictedTrajectory]
+) -> list[Missed | None]:
+    """What the solutions from estimated starts miss of the rows that these were estimated from."""
+    found, channels = [], len(run.model.channels)
+    for item, one in zip(present, items, strict=True):
+        if one.start.origin == "estimated" and not one.failure:
+            rows = one.used.count("window")  # the first ones
+            seen, mean = item.at_rows(slice(rows)), one.mean[:rows, :channels]
+            found.append(missed(run.model, run.fit, scales, seen, mean))
+    return found
 
 
 def said_of_coverage(errors: Mapping[str, Errors]) -> list[str]:

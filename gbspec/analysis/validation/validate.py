@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gbspec.analysis.prediction import ORIGINS, Prediction, extrapolated, mean_prediction, noise_at, predictions
+from gbspec.analysis.prediction import (
+    ORIGINS,
+    Prediction,
+    extrapolated,
+    mean_prediction,
+    missed,
+    noise_at,
+    predictions,
+    said_of_starts,
+)
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
@@ -238,6 +247,7 @@ def validate(
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
+        warnings += _of_starts(run, present, predicted)
         solved = [one.states for one in predicted if not one.failure]
         warnings += said_of_ranges(states_beyond(run.model, np.concatenate(solved))) if solved else []
     place = 0 if member == "mean" else run.numbers.index(member)
@@ -339,6 +349,23 @@ def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:
             "measurements that the errors are computed from"
         )
     return warnings
+
+
+def _of_starts(run: Run, trajectories: Trajectories, predicted: Sequence[Prediction]) -> list[str]:
+    """A warning of estimated starts whose solutions do not follow the trajectories that they were estimated from."""
+    scales = run.fit.scales_for(run.model, trajectories)
+    found = [
+        missed(run.model, run.fit, scales, item, one.channels)
+        for item, one in zip(trajectories.items, predicted, strict=True)
+        if one.start.origin == "estimated" and not one.failure
+    ]
+    return said_of_starts(found, _REMEDY)
+
+
+_REMEDY = (
+    "A start that is known can be given by the first row of the table or by `initial` in the model, and "
+    "`gbspec predict --window` estimates it from fewer rows"
+)
 
 
 def _against_truth(
