@@ -368,7 +368,7 @@ class Estimator:
             return []
         chosen = np.unique(np.linspace(0, len(learned) - 1, min(LEARNED, len(learned))).round().astype(int))
         found = np.zeros((len(chosen), len(scale)))
-        found[:, : len(free)] = (np.asarray(learned)[np.ix_(chosen, free)] - state[free]) / scale[: len(free)]
+        found[:, : len(free)] = (np.asarray(learned)[chosen][:, free] - state[free]) / scale[: len(free)]
         for i, place in enumerate(self.own if self.individuals is None else ()):
             values = weights.get(f"per_trajectory.{self.evaluator.instance.constants[place]}")
             if values is not None:

@@ -36,7 +36,8 @@ def run(
     output.findings(findings)
     if data is None and measured is not None:
         output.say(f"on the training data, {measured.path or 'which the run keeps'}")
-    found = analysing.validate(made, measured, chosen)
+    with output.console().status("validating"):
+        found = analysing.validate(made, measured, chosen)
     output.document(found.to_json())
     output.result(str(found))
     if found.empty:
