@@ -53,6 +53,9 @@ class InitialStates:
 CLEARLY = 3.0
 """A mean of squares is clearly larger than another one if it is so by this many standard deviations."""
 
+MUCH = 0.9
+"""A loss of whole solutions below this part of another one is told."""
+
 
 class ChoiceOfFit:
     """Chooses between the fit of single intervals (teacher forcing) and that of whole solutions (autoregressive).
@@ -89,7 +92,8 @@ class ChoiceOfFit:
         refitted = refit_starts(self.free, self.earlier, self.seed)
         other_interval, other_whole = self._losses(self.earlier, refitted)
         if _product(other_interval, other_whole) < _product(interval, whole):
-            return Outcome({"theta": refitted}, other_interval, True, f"{WHOLE_WORSE}; the fit of intervals was kept")
+            kept = f"{WHOLE_WORSE}; the fit of intervals was kept{_instead(whole, other_whole)}"
+            return Outcome({"theta": refitted}, other_interval, True, kept)
         return Outcome(state, whole, True, WHOLE_WORSE)
 
     def _losses(self, of_intervals: Array, of_whole: Array) -> tuple[float, float]:
@@ -101,6 +105,16 @@ WHOLE_WORSE = (
     "solutions from the initial states follow the data less well than predictions from one row to the next: the system "
     "may be disturbed between rows, or the model may be incomplete"
 )
+
+
+def _instead(whole: float, kept: float) -> str:
+    """What the fit of whole solutions would have given, where its loss is clearly smaller."""
+    if not whole < MUCH * kept:
+        return ""
+    return (
+        f", whose whole solutions have the loss {kept:.3g}; fitted themselves they had {whole:.3g}, and `--forcing "
+        "autoregressive` keeps that fit, which predictions of many rows may need"
+    )
 
 
 def _product(interval: float, whole: float) -> float:
