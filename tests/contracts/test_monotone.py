@@ -85,7 +85,7 @@ def test_directions_of_random_expressions_are_true(expression: sympy.Expr) -> No
     """Wherever a direction in `u` is proved, values at rising `u` follow it."""
     prover = Prover(BOX)
     proved = [way for way in (1, -1) if monotone(prover, expression, u, way)]
-    function = sympy.lambdify([u, g, K], expression, "math")
+    function = sympy.lambdify([u, g, K], expression, ["math", {"re": float}])  # all are real
     for a, b, rising in LINES if proved else []:
         values = []
         for at in rising:

@@ -95,6 +95,16 @@ def test_default_step_follows_the_channels_own_intervals() -> None:
     assert default_max_step(data) == pytest.approx(0.1)
 
 
+def test_measurements_at_nearly_the_same_time_tell_nothing_of_the_step() -> None:
+    """Three replicates a tenth of a second apart, each hour: the default step was a fiftieth of a second."""
+    times = (np.arange(20)[:, None] + np.arange(3) / 3600 / 10).ravel()
+    data = Trajectories((trajectory("a", 0.0, times, np.full((60, 1), 0.5), []),), ("x1",))
+    assert default_max_step(data) == pytest.approx(0.2)
+    spaced = np.logspace(-6, 4, 41)
+    data = Trajectories((trajectory("a", 0.0, spaced, np.full((41, 1), 0.5), []),), ("x1",))
+    assert default_max_step(data) == pytest.approx(np.median(np.diff(spaced)) / 5, rel=0.5)
+
+
 def test_very_long_and_very_short_intervals() -> None:
     times = np.array([1e-9, 1e-3, 1.0, 1e5])
     data = Trajectories((trajectory("a", 0.0, times, np.full((4, 2), 0.5), [0.3]),), ("x1", "x2"))

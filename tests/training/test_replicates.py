@@ -98,3 +98,41 @@ def test_scatter_is_read_cut_and_kept(tmp_path: Path) -> None:
     assert isinstance(again, Trajectories)
     assert again.items[0].scatter is not None
     assert np.array_equal(again.items[0].scatter, item.scatter)
+
+
+LEARNED = DECAY.replace("learn k", "learn s = 0.2 in [0.01, 2]\nlearn k").replace(
+    "observe y", "observe y noise normal(s)"
+)
+PROPORTIONAL = LEARNED.replace("[1, 20]\n", "[1, 20] per trajectory ~ lognormal\n").replace("normal(s)", "normal(s*y)")
+
+
+def table(path: Path, apart: float) -> Path:
+    """Six decays from starts of their own, of which each value is measured three times, `apart` in time."""
+    rng, rows = np.random.default_rng(8), []
+    for i in range(6):
+        start = 8 * np.exp(0.2 * rng.standard_normal())
+        for t in (0.0, 0.7, 1.5, 3.0, 5.0):
+            for k in range(3):
+                value = start * np.exp(-0.4 * t) * (1 + 0.1 * rng.standard_normal())
+                rows.append(f"{i},{t + apart * k},y,{float(value)!r}")
+    path.write_text("\n".join(["trajectory,t,name,value", *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("model", [LEARNED, PROPORTIONAL])
+def test_the_likelihood_of_replicates_is_that_of_rows_of_their_own(tmp_path: Path, model: str) -> None:
+    """Rows so close to each other that the solution does not change between them."""
+    (tmp_path / "m.gb").write_text(model.replace("state y", "time t from 0\nstate y"))
+    fits = []
+    for name, apart in (("replicates", 0.0), ("rows", 1e-7)):
+        data = table(tmp_path / f"{name}.csv", apart)
+        gbspec.load(tmp_path / "m.gb").train(data, tmp_path / name)
+        fits.append(gbspec.open_run(tmp_path / name).run.fit)
+    replicates, rows = fits
+    for name, one in replicates.constants.items():
+        assert one.value == pytest.approx(rows.constants[name].value, rel=1e-3), name
+        assert one.sd == pytest.approx(rows.constants[name].sd, rel=1e-2), name
+    found = [one.population for one in fits if one.population is not None]
+    assert found[0].minus2ll == pytest.approx(found[1].minus2ll, abs=1e-3)
+    at = [gbspec.open_run(tmp_path / name).evaluate(tmp_path / f"{name}.csv") for name in ("replicates", "rows")]
+    assert at[0].nllh == pytest.approx(at[1].nllh, abs=1e-3)

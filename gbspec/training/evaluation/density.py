@@ -61,16 +61,23 @@ class Density:
         """The contributions [m] to the negative log likelihood."""
         residual, sd = self.compared(mean, constants)
         side = torch.from_numpy(self.measured.side)
+        value, more = self.measured.value, self.measured.more
         jacobian = torch.from_numpy(
-            np.where(self.measured.logarithm & (self.measured.side == 0), self.measured.value, 0.0)
+            np.where(self.measured.logarithm & (self.measured.side == 0), value * (1 + more), 0.0)
         )
-        normal = 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian
+        normal = 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian + self._of_replicates(sd)
         normal = torch.where(side == 0, normal, -torch.special.log_ndtr(side * residual / sd))
         of_channels = np.array([student_noise(c) for c in self.model.channels], dtype=np.bool_)
         heavy = torch.from_numpy(of_channels[self.measured.channel])
         if not bool(heavy.any()):
             return normal
         return torch.where(heavy, 0.5 * student.minus_two_log(residual, sd**2, self._freedom(constants)), normal)
+
+    def _of_replicates(self, sd: Tensor) -> Tensor:
+        """What the deviations of replicates from their averages, of the standard deviation `sd`, contribute [m]."""
+        more, scatter = torch.from_numpy(self.measured.more), torch.from_numpy(self.measured.scatter)
+        single = sd**2 * (1 + more)
+        return 0.5 * (more * (LOG_2PI + torch.log(single)) + scatter / single + torch.log1p(more))
 
     def slopes(self, mean: Array, constants: Array) -> tuple[float, Array, Array]:
         """The negative log likelihood, its derivatives by the predictions [m] and by the constants [m, K]."""
@@ -111,7 +118,7 @@ class Density:
             else:
                 table = constants[rows]
                 stated = standard_deviation(self.model, channel, mean[rows], {n: table[:, i] for n, i in names.items()})
-            given = own[rows]
-            found = stated**2 + given if learned else torch.where(given > 0, given, stated**2)
+            given, average = own[rows], stated**2 / torch.from_numpy(measured.weight[rows.numpy()] ** 2)
+            found = average + given if learned else torch.where(given > 0, given, average)
             out = out.index_add(0, rows, found)
-        return out / torch.from_numpy(measured.weight**2)
+        return out

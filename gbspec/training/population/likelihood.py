@@ -98,9 +98,13 @@ class Likelihood:
         self.limited = bool(measured.side.any())
         heavy = np.array([student_noise(c) for c in layout.model.channels], dtype=np.bool_)[measured.channel]
         self.heavy, self.outliers = torch.from_numpy(heavy), bool(heavy.any())
+        # Of n replicates n - 1 deviations from their average are independent of it. Student's have no such average.
+        more = np.where(heavy, 0.0, measured.more)
+        self.replicated, self.more = bool(more.any()), torch.from_numpy(more)
+        self.scatter = torch.from_numpy(np.where(more > 0, measured.scatter, 0.0))
         # The density of a value whose logarithm is normal has the factor 1/value.
-        jacobian = np.where(measured.logarithm & (measured.side == 0), 2 * measured.value, 0.0)
-        self.constant = self.sums(torch.from_numpy(jacobian))
+        jacobian = np.where(measured.logarithm & (measured.side == 0), 2 * measured.value * (1 + more), 0.0)
+        self.constant = self.sums(torch.from_numpy(jacobian + np.log1p(more)))
 
     def copies(self, count: int) -> Likelihood:
         """The likelihood of `count` copies of all trajectories, which are solved side by side; row i of copy c is row
@@ -177,6 +181,9 @@ class Likelihood:
         if self.limited:
             place, _ = self._limit(of)
             terms = torch.where(self.side == 0, terms, -2 * torch.special.log_ndtr(place))
+        if self.replicated:
+            single = of.variance / self.share
+            terms = terms + self.more * (LOG_2PI + torch.log(single)) + self.scatter / single
         return self.sums(terms) + (z**2).sum(1) + self.constant
 
     def half_gradient(self, of: Compared, z: Tensor) -> Tensor:
@@ -188,6 +195,9 @@ class Likelihood:
         if self.limited:
             place, by = self._limit(of)
             by_mean = torch.where(self.side == 0, by_mean, -_mills(place) * by)
+        if self.replicated:
+            relative = self.more - self.scatter * self.share / of.variance
+            by_mean = by_mean + 0.5 * of.slope / of.variance * relative
         return z + self.sums(by_mean[:, None] * of.by_z)
 
     def expected_hessian(self, of: Compared) -> Tensor:
@@ -199,6 +209,8 @@ class Likelihood:
             place, by = self._limit(of)
             ratio = _mills(place)
             weight = torch.where(self.side == 0, weight, ratio * torch.clamp(ratio + place, min=0.0) * by**2)
+        if self.replicated:
+            weight = weight + 0.5 * self.more * (of.slope / of.variance) ** 2
         unit = torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype)
         if not self.groups.shared:
             return unit + self.sums(weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :])

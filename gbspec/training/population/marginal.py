@@ -196,7 +196,11 @@ class Marginal:
         }
         known = np.flatnonzero(measured.side == 0)  # limits say little: without them it is a bound
         parts = _Linearised(mean, variance, of.by_z.numpy(), spread, noise, further)
-        return _information(likelihood.unit.numpy(), parts, known)
+        total = _information(likelihood.unit.numpy(), parts, known)
+        # Deviations of replicates from their averages tell of variances alone, whatever the standard numbers are.
+        roots = np.sqrt(0.5 * likelihood.more.numpy())[:, None] * noise / variance[:, None]
+        total[len(weights) :, len(weights) :] += roots.T @ roots
+        return total
 
     def _mean_slopes(self, u: Array, z: Tensor, by_constants: Array) -> Array:
         """Derivatives [m, P] of predictions by u at fixed z; spreads and correlations move only the variance."""

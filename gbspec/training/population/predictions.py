@@ -31,17 +31,24 @@ from gbspec.training.problem import STRETCH, Integers, Parameters, Path, Problem
 @dataclass(frozen=True)
 class Measured:
     """The m measured values: trajectory `owner` and `channel` of each, the `value` (its logarithm under lognormal
-    noise), the root `weight` of how many measurements it averages, and its own standard deviation `sd` (0: none).
+    noise), the root `weight` of how many measurements it averages, `scatter`, the sum of their squared deviations from
+    it (of logarithms: relative to it), and its own standard deviation `sd` (0: none).
     `side`: -1 and 1 where the value is a limit that the measured one lies below or above, else 0."""
 
     owner: Integers
     channel: Integers
     value: Array
     weight: Array
+    scatter: Array
     sd: Array
     logarithm: Mask
     trajectories: int
     side: Array
+
+    @property
+    def more(self) -> Array:
+        """How many more measurements than one each value averages [m]; none of a limit."""
+        return np.where(self.side == 0, self.weight**2 - 1.0, 0.0)
 
     @classmethod
     def of(cls, problem: Problem) -> Measured:
@@ -50,11 +57,12 @@ class Measured:
         row, channel = np.nonzero(problem.seen)
         value, logs = problem.measured[row, channel].copy(), logarithmic(model)[channel]
         sd = packed.sd[row, channel]
-        sd = np.where(np.isfinite(sd), sd, 0.0) / np.where(logs, value, 1.0)
+        unit = np.where(logs, value, 1.0)
+        sd, scatter = np.where(np.isfinite(sd), sd, 0.0) / unit, packed.scatter[row, channel] / unit**2
         value[logs] = np.log(value[logs])
         weight = packed.weights[row, channel]
         side = packed.limits.side[row, channel].astype(np.float64)
-        return cls(packed.row_trajectory[row], channel, value, weight, sd, logs, packed.trajectories, side)
+        return cls(packed.row_trajectory[row], channel, value, weight, scatter, sd, logs, packed.trajectories, side)
 
 
 @dataclass(frozen=True)

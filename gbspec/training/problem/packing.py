@@ -33,6 +33,10 @@ from gbspec.training.problem.arrivals import (
 )
 from gbspec.training.problem.delays import largest_steps
 
+SAME_TIME = 1e-4
+"""Measurements whose distance is below this part of the mean interval, and of the time that has passed (as that of
+logarithmically spaced ones is not), were made at the same time."""
+
 
 @dataclass(frozen=True)
 class Packed:
@@ -161,16 +165,16 @@ def default_max_step(trajectories: Trajectories) -> float:
     """A fifth of the typical interval between two measurements of the same channel, rounded to 1, 2 or 5 x 10^n.
 
     Intervals are evaluated for each channel separately, because channels with different measurement times make the rows
-    of a table dense although the dynamics are not faster. Whether the step is small enough is checked after every fit
-    by solving with half the step.
+    of a table dense although the dynamics are not faster; those between measurements at nearly the same time, as of
+    replicates that were taken one after the other, tell nothing of the dynamics. Whether the step is small enough is
+    checked after every fit by solving with half the step.
     """
     gaps = [
-        np.diff(item.times[np.isfinite(item.values[:, channel])])
+        _apart(item.times[np.isfinite(item.values[:, channel])], item.start)
         for item in trajectories.items
         for channel in range(item.values.shape[1])
     ]
     intervals = np.concatenate([*gaps, np.zeros(0)])
-    intervals = intervals[intervals > 0]
     if len(intervals):
         typical = float(np.median(intervals)) / 5
     else:
@@ -178,6 +182,14 @@ def default_max_step(trajectories: Trajectories) -> float:
         typical = max(max(spans, default=1.0), 1e-12) / 50
     scale = 10.0 ** np.floor(np.log10(typical))
     return float(scale * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(np.log(m * scale / typical))))
+
+
+def _apart(times: Array, start: float) -> Array:
+    """The intervals between measurements that were not made at the same time."""
+    gaps = np.diff(times)
+    if not len(gaps):
+        return gaps
+    return np.asarray(gaps[gaps > SAME_TIME * np.minimum(gaps.mean(), times[1:] - start)], dtype=np.float64)
 
 
 def pack(
