@@ -315,7 +315,7 @@ class Beyond:
     @property
     def brief(self) -> str:
         """The same in a list of several states."""
-        return f"`{self.name}` ({self._spread} in {self.count} of {self.known}; range {_interval(self.bounds)})"
+        return f"`{self.name}` ({self._spread}, {self.count} of {self.known} values; range {_interval(self.bounds)})"
 
 
 def far_outside(model: Model, values: Array) -> list[str]:

@@ -52,4 +52,4 @@ def test_a_better_fit_of_whole_solutions_that_is_left_is_told(better: bool, told
     stage = ChoiceOfFit(lambda theta: 1e-3 * losses[0] * (1e-6 if theta is earlier else 1.0), whole, earlier, 0)
     note = stage.step(stage.begin(late), 0).note
     assert "the fit of intervals was kept" in note
-    assert (f"had {losses[0]:.3g}, and `--forcing autoregressive` keeps that fit" in note) is told
+    assert (f"had {losses[0]:.3g}. `--forcing autoregressive` fits them alone" in note) is told

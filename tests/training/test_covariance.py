@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import torch
 from gbspec.analysis import fences, function_bands
 from gbspec.analysis.prediction.displaced import Displaced
 from gbspec.analysis.prediction.solutions import Start
+from gbspec.arrays import Array
 from gbspec.backends import load_module
 from gbspec.data import read
 from gbspec.data.trajectories import Trajectories
@@ -95,6 +97,24 @@ def test_a_constant_without_variance_costs_no_displacement() -> None:
     known = Covariance((), ("a", "b", "c"), 1.0, empty, np.zeros(0), np.zeros((3, 0)), conditional)
     assert len(known.displacements(np.random.default_rng(0), 16)) == 2
     assert mean_squares(known, 16) == pytest.approx(conditional, abs=1e-14)
+
+
+def test_a_displaced_solution_that_does_not_exist_is_sought_nearer() -> None:
+    """Without the first constant, which tells most, a variance of 4 would be left of 12."""
+    shares = np.array([3.0, 1.0, 1.0, 1.0])
+    names = ("a", "b", "c", "d")
+    known = Covariance((), names, 1.0, np.zeros((0, 0)), np.zeros(0), np.zeros((4, 0)), np.eye(4))
+    module = SimpleNamespace(constants=names, weights={}, info={}, shapes=dict)
+    displaced = Displaced(module, known)  # type: ignore[arg-type]  # what it needs of a member
+    far = 0.5 * 1e-2 * np.sqrt(4)
+
+    def solve(_: object, start: Start) -> Array:
+        found = float(shares @ start.constants)
+        return np.array([[found if abs(start.constants[0]) < far else np.nan]])
+
+    displaced._displaced = lambda weights, constants: (None, constants)  # type: ignore[method-assign,assignment,return-value]
+    start = Start(np.zeros(0), np.zeros(4), "known")
+    assert displaced.variance(start, np.zeros((1, 1)), solve) == pytest.approx(12.0, rel=1e-6)
 
 
 def test_weaker_data_leave_more_of_the_prior() -> None:

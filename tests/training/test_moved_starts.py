@@ -39,6 +39,13 @@ def test_zeros_that_the_fit_leaves_are_told(tmp_path: Path) -> None:
     assert "write `initial P = 0`" in said
 
 
+def test_what_is_offered_names_the_state(tmp_path: Path) -> None:
+    late = np.where(TIMES > 0, 10 - 7 * np.exp(-0.3 * TIMES), 0.0)
+    model = GROWTH.replace("observe P", 'observe C = P as "P"')
+    (said,) = warnings_of(tmp_path, [late, late], model)
+    assert "the first value of `C` is 0" in said and "write `initial P = 0`" in said
+
+
 def test_first_values_beyond_the_noise_are_told(tmp_path: Path) -> None:
     late = np.where(TIMES > 0, 10 - 7 * np.exp(-0.3 * TIMES), 0.5)
     (said,) = warnings_of(tmp_path, [late])

@@ -132,6 +132,7 @@ def test_the_likelihood_of_replicates_is_that_of_rows_of_their_own(tmp_path: Pat
     for name, one in replicates.constants.items():
         assert one.value == pytest.approx(rows.constants[name].value, rel=1e-3), name
         assert one.sd == pytest.approx(rows.constants[name].sd, rel=1e-2), name
+    assert not [text for text in replicates.warnings if "replicates" in text], "subjects differ, the model is right"
     found = [one.population for one in fits if one.population is not None]
     assert found[0].minus2ll == pytest.approx(found[1].minus2ll, abs=1e-3)
     at = [gbspec.open_run(tmp_path / name).evaluate(tmp_path / f"{name}.csv") for name in ("replicates", "rows")]

@@ -43,8 +43,9 @@ def test_residuals_that_are_no_deviations_of_the_table_are_told(noise: str, time
         assert size == pytest.approx(times, rel=0.2)  # the root of chi² over the degrees of freedom
 
 
-def test_noise_of_the_model_is_not_compared_where_the_table_has_its_own() -> None:
+def test_noise_of_the_model_is_compared_after_that_of_the_table() -> None:
     model = model_of(DECAY.format(noise=" noise normal(0.2)"))
-    assert not above_stated({"x": 0.7}, model, {"x": 1.5})
+    (text,) = above_stated({"x": 0.7}, model, {"x": 1.5})
+    assert "the model states" in text, "some values have none in the table"
     assert "3.5 times as large as the noise that the model states" in above_stated({"x": 0.7}, model, {})[0]
     assert not above_stated({}, model, {"x": float("nan")})

@@ -77,7 +77,7 @@ def test_states_far_outside_share_a_sentence_in_the_order_of_the_model(tmp_path:
     for warnings in (run.run.fit.warnings, run.validate().warnings):
         (told,) = [one for one in warnings if "far outside" in one]
         assert "values of 2 states lie far outside of their ranges: `y` (from " in told
-        assert told.endswith("in 5 of 5; range [3, 4]), `z` (7 in 5 of 5; range [0, 1])")
+        assert told.endswith(", 5 of 5 values; range [3, 4]), `z` (7, 5 of 5 values; range [0, 1])")
 
 
 def test_what_concerns_the_whole_fit_is_said_before_single_states_and_constants() -> None:

@@ -30,6 +30,9 @@ SMALL, OF_CONSTANTS = 1e-4, 1e-2
 determined, so that whole draws, and even twentieths of them, leave the linear range. In one direction alone the
 quadratic part of so many weights was up to 400 times the linear one with a factor of 1e-3."""
 
+SHORTER = 1e-2
+"""Where a displaced solution does not exist, the displacement is shortened further by this factor."""
+
 Solve = Callable[["Evaluator", Start], Array]
 """The variables [R, V] along a trajectory; NaN where it cannot be solved."""
 
@@ -50,41 +53,49 @@ class Displaced:
         self, member: GeneratedModule, covariance: Covariance | None, given: frozenset[str] = frozenset()
     ) -> None:
         self.member, self.covariance, self.given = member, covariance, given
+        self._pairs: dict[tuple[int, float], list[tuple[Evaluator, Array]]] = {}
 
     @property
     def _small(self) -> float:
         return SMALL if self.covariance is not None and self.covariance.names else OF_CONSTANTS
 
     @cached_property
-    def _copies(self) -> list[list[tuple[Evaluator, Array]]]:
-        """For each draw the evaluators of the members displaced in both directions, and the displacements of all
-        constants."""
+    def _draws(self) -> list[tuple[Array, Array]]:
+        """Displacements of the weights and of the learned constants."""
+        return [] if self.covariance is None else self.covariance.displacements(np.random.default_rng(67), DRAWS)
+
+    def _pair(self, number: int, factor: float) -> list[tuple[Evaluator, Array]]:
+        """The evaluators of the members displaced in both directions by `factor` times a draw, and the displacements of
+        all constants."""
+        if (number, factor) not in self._pairs:
+            weights, constants = self._draws[number]
+            signs = (factor, -factor)
+            self._pairs[number, factor] = [self._displaced(sign * weights, sign * constants) for sign in signs]
+        return self._pairs[number, factor]
+
+    def _displaced(self, weights: Array, constants: Array) -> tuple[Evaluator, Array]:
         from gbspec.backends import Evaluator
 
-        if self.covariance is None:
-            return []
-        rng, shapes = np.random.default_rng(67), self.member.shapes()
-        covariance, sizes = self.covariance, [int(np.prod(shapes[name])) for name in self.covariance.names]
-
-        def displaced(weights: Array, constants: Array) -> tuple[Evaluator, Array]:
+        covariance, shapes, change = self.covariance, self.member.shapes(), np.zeros(len(self.member.constants))
+        moved = dict(self.member.weights)
+        if covariance is not None:
+            sizes = [int(np.prod(shapes[name])) for name in covariance.names]
             parts = np.split(weights, np.cumsum(sizes)[:-1]) if sizes else []
-            moved = dict(self.member.weights)
             for name, part in zip(covariance.names, parts, strict=True):
                 moved[name] = moved[name] + part.reshape(shapes[name])
-            change = np.zeros(len(self.member.constants))
             for name, by in zip(covariance.constants, constants, strict=True):
                 change[self.member.constants.index(name)] = 0.0 if name in self.given else by
-            return Evaluator(type(self.member)(moved, self.member.info)), change
-
-        small = self._small
-        draws = covariance.displacements(rng, DRAWS)
-        return [[displaced(sign * small * w, sign * small * k) for sign in (1.0, -1.0)] for w, k in draws]
+        return Evaluator(type(self.member)(moved, self.member.info)), change
 
     def variance(self, start: Start, variables: Array, solve: Solve, refitted: Refit = unchanged) -> Array:
         """The variance of `variables` [R, V], the solution from `start`, which follows the model as `refitted` says."""
         squares = []
-        for pair in self._copies:
-            up, down = (solve(one, replace(start, constants=start.constants + change)) for one, change in pair)
-            squares.append(refitted((up - down) / (2 * self._small)) ** 2)
-        good = [each for each in squares if np.isfinite(each).all()]
-        return np.mean(good, axis=0) if good else np.zeros_like(variables)
+        for number in range(len(self._draws)):
+            for factor in (self._small, self._small * SHORTER):  # each parameter has a share that others do not have
+                sides = self._pair(number, factor)
+                up, down = (solve(one, replace(start, constants=start.constants + change)) for one, change in sides)
+                square = refitted((up - down) / (2 * factor)) ** 2
+                if np.isfinite(square).all():
+                    squares.append(square)
+                    break
+        return np.mean(squares, axis=0) if squares else np.zeros_like(variables)

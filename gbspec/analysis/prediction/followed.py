@@ -56,7 +56,8 @@ def missed(model: Model, fit: FitRecord, scales: Scales, item: Trajectory, chann
     values, predicted = on_fitted_scale(item.values, channels, log)
     for j, channel in enumerate(model.channels):
         own = item.sd[:, j] / np.abs(item.values[:, j]) if log[j] else item.sd[:, j]
-        expected = np.fmax(noise[:, j], own)  # that of single rows, where the table states it
+        of_average = noise[:, j] / np.sqrt(np.maximum(item.counts[:, j], 1.0))
+        expected = np.fmax(of_average, own)  # that of single rows, where the table states it
         if not log[j]:
             expected = np.fmax(expected, known.get(channel.name, 0.0))
         seen = np.isfinite(values[:, j]) & np.isfinite(predicted[:, j]) & (expected > 0)

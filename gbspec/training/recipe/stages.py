@@ -112,8 +112,8 @@ def _instead(whole: float, kept: float) -> str:
     if not whole < MUCH * kept:
         return ""
     return (
-        f", whose whole solutions have the loss {kept:.3g}; fitted themselves they had {whole:.3g}, and `--forcing "
-        "autoregressive` keeps that fit, which predictions of many rows may need"
+        f". Its whole solutions have the loss {kept:.3g}; the fit of whole solutions, which was left, had {whole:.3g}. "
+        "`--forcing autoregressive` fits them alone and may reach that, as predictions of many rows need"
     )
 
 

@@ -59,10 +59,11 @@ def moved_starts(model: Model, problem: Problem, initial: Array, noise: Mapping[
         starts = _starts(problem, initial, j, channel.state, noise[channel.name])
         if starts is None:
             continue
-        if not starts.measured.any() and np.abs(starts.off).max() > 1:
-            found.append(_known_zero(channel, problem, starts))
+        state = model.states[channel.state].name
+        if not starts.measured.any() and np.mean(starts.off**2) > 1:
+            found.append(_known_zero(channel, state, problem, starts))
         elif starts.elsewhere.any() or starts.beyond_noise:
-            found.append(_moved(channel, problem, starts))
+            found.append(_moved(channel, state, problem, starts))
     return found
 
 
@@ -86,25 +87,25 @@ def _starts(problem: Problem, initial: Array, channel: int, state: int, deviatio
     return _Starts(*(part[known] for part in found))
 
 
-def _known_zero(channel: Channel, problem: Problem, starts: _Starts) -> str:
+def _known_zero(channel: Channel, state: str, problem: Problem, starts: _Starts) -> str:
     worst = int(np.argmax(np.abs(starts.off)))
     everywhere = f" in all {len(starts.owner)} trajectories" if len(starts.owner) > 1 else ""
     return (
         f"the first value of `{channel.name}` is 0{everywhere}, and the fit starts at up to "
         f"{starts.learned[worst]:.3g}{_where(problem, starts, worst)}: first values count as measurements, with the "
-        f"noise of all others. If it is known to be 0, write `initial {channel.name} = 0`"
+        f"noise of all others. If it is known to be 0, write `initial {state} = 0`"
     )
 
 
-def _moved(channel: Channel, problem: Problem, starts: _Starts) -> str:
+def _moved(channel: Channel, state: str, problem: Problem, starts: _Starts) -> str:
     far = np.abs(starts.off) + np.where(starts.elsewhere, np.abs(starts.off).max() + 1, 0.0)
     worst = int(np.argmax(far))
-    name, size = channel.name, abs(float(starts.off[worst]))
+    size = abs(float(starts.off[worst]))
     return (
-        f"the fit starts `{name}` at {starts.learned[worst]:.3g}{_where(problem, starts, worst)}, where "
+        f"the fit starts `{state}` at {starts.learned[worst]:.3g}{_where(problem, starts, worst)}, where "
         f"{starts.measured[worst]:.3g} was measured ({size:.2g} standard deviations of the noise): first values count "
         "as measurements, and the model lacks something, or follows a solution that is not meant. If first values are "
-        f"known, let a column have them (`condition {name}_0` and `initial {name} = {name}_0`)"
+        f"known, let a column have them (`condition {state}_0` and `initial {state} = {state}_0`)"
     )
 
 

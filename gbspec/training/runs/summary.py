@@ -182,9 +182,9 @@ def _beside_tabled(noise: _Noise, problem: Problem, model: Model) -> dict[str, f
     levels, found = problem.scaling.levels, {}
     for i, channel in enumerate(model.channels):
         seen = problem.seen[:, i]
-        own = np.isfinite(problem.packed.sd[seen, i]) & (problem.packed.sd[seen, i] > 0)
+        own = seen & (np.nan_to_num(problem.packed.sd[:, i]) > 0)
         if levels is not None and levels[i] > 0 and own.any():
-            found[channel.name] = noise.deviation(problem.valued[:, i], i) / float(levels[i])
+            found[channel.name] = noise.deviation(problem.valued[:, i] & own, i) / float(levels[i])
     return found
 
 
@@ -285,6 +285,8 @@ class _Noise:
         values = engine.problem.noise_terms(residual_vector(engine, theta))[1]
         count, counted = float(np.sum(values / engine.problem.shares)), float(values.sum())
         replicates = engine.problem.replicates
+        if context.model.marginal:  # differences between trajectories are no lack of the model
+            replicates = (np.zeros_like(replicates[0]), np.zeros_like(replicates[1]))
         left = max(counted - freedom, 0.1 * counted, 1.0) + replicates[1].sum() if np.isfinite(freedom) else None
         if not whole or not count:
             return cls(residuals, None, left, replicates)

@@ -128,18 +128,18 @@ def above_stated(
     out = []
     for channel in model.channels if not model.marginal else ():
         name, stated = channel.name, channel.noise
+        compared = []
         if tabled and name in tabled:
-            times, what = tabled[name], f"the standard deviations that the table states (`sd_{name}`)"
-        elif stated is not None and stated.value is None and stated.scale > 0:  # of a log-normal one as a share
+            compared.append((tabled[name], f"the standard deviations that the table states (`sd_{name}`)"))
+        if stated is not None and stated.value is None and stated.scale > 0:  # of a log-normal one as a share
             times = noise.get(name, math.nan) / stated.scale
-            what = f"the noise that the model states, {stated.kind}({stated.scale:g})"
-        else:
-            continue
-        if times > ABOVE:
-            out.append(
-                f"the residuals of `{name}` are {times:.2g} times as large as {what}: {why}; intervals do not hold "
-                f"then. What may help: {helps}"
-            )
+            compared.append((times, f"the noise that the model states, {stated.kind}({stated.scale:g})"))
+        out += [
+            f"the residuals of `{name}` are {times:.2g} times as large as {what}: {why}; intervals do not hold then. "
+            f"What may help: {helps}"
+            for times, what in compared
+            if times > ABOVE
+        ][:1]
     return out
 
 
