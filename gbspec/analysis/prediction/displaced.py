@@ -3,7 +3,8 @@
 Weights and shared constants are displaced along the columns of a square root of their covariance, or, where there are
 more of them, by random draws from it; all of them shortened by the same factor, so that solutions stay near the linear
 range and none blows up, in both directions: what is quadratic cancels in the difference of both. The mean square of
-half of it, over the square of the factor, is the variance of the linearised model.
+half of it, over the square of the factor, is the variance of the linearised model. A pair of which a solution does not
+exist is shortened once more.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Displaced:
         """The variance of `variables` [R, V], the solution from `start`, which follows the model as `refitted` says."""
         squares = []
         for number in range(len(self._draws)):
-            for factor in (self._small, self._small * SHORTER):  # each parameter has a share that others do not have
+            for factor in (self._small, self._small * SHORTER):  # columns cannot stand for each other, as draws can
                 sides = self._pair(number, factor)
                 up, down = (solve(one, replace(start, constants=start.constants + change)) for one, change in sides)
                 square = refitted((up - down) / (2 * factor)) ** 2

@@ -20,6 +20,7 @@ from gbspec.analysis.prediction.noise import depends_on_value, residual_noise
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
+    continued_positions,
     learned_positions,
     learned_start,
     measured_start,
@@ -29,7 +30,7 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
-from gbspec.data import absent_states, continued, recognised, scales_of, sobol, spread_over_ranges
+from gbspec.data import absent_states, recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
 from gbspec.runs import NORMAL_90, quantile
 
@@ -132,8 +133,9 @@ def predictions(
     """
     scales = scales_of(model, trajectories) if fit is None else fit.scales_for(model, trajectories)
     estimator = refitting(evaluator, model, fit, scales)
-    positions = learned_positions(evaluator.instance, trajectories, None if fit is None else fit.data)
-    longer = continued(evaluator.instance.info.get("beginnings"), trajectories.items)
+    data = None if fit is None else fit.data
+    positions = learned_positions(evaluator.instance, trajectories, data)
+    longer = continued_positions(evaluator.instance, trajectories, data)
     starts = []
     for item, position, begun in zip(trajectories.items, positions, longer, strict=True):
         if position is not None:

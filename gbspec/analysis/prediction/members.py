@@ -15,6 +15,7 @@ from gbspec.analysis.prediction.noise import measured_deviations
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
+    continued_positions,
     learned_positions,
     learned_start,
     measured_start,
@@ -22,7 +23,6 @@ from gbspec.analysis.prediction.solutions import (
     started,
 )
 from gbspec.arrays import Array
-from gbspec.data import continued
 from gbspec.ir import slopes
 
 if TYPE_CHECKING:
@@ -70,9 +70,7 @@ class MemberPredictions:
         self.estimator = estimator_of(evaluator, run.model, run.fit, scales, released)
         self.scales = scales
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
-        longer = continued(evaluator.instance.info.get("beginnings"), trajectories.items)
-        pairs = zip(longer, self.positions, strict=True)
-        self.longer = [found if position is None else None for found, position in pairs]
+        self.longer = continued_positions(evaluator.instance, trajectories, run.fit.data)
         self.displaced = Displaced(evaluator.instance, covariance, frozenset(run.values))
 
     @cached_property

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import evaluate, fingerprint
+from gbspec.data import continued, evaluate, fingerprint
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import logarithmic
 
@@ -110,6 +110,16 @@ def learned_positions(member: GeneratedModule, trajectories: Trajectories, data:
     recorded = "" if data is None else data.sha256
     same = bool(recorded) and trajectories.sha256 == recorded and count == len(trajectories)
     return [i if same else None for i in range(len(trajectories))]
+
+
+def continued_positions(
+    member: GeneratedModule, trajectories: Trajectories, data: DataRecord | None
+) -> list[tuple[int, int] | None]:
+    """For each trajectory that begins with the rows of one of the training data and goes on, the index of that one and
+    the number of rows up to its end; None for others."""
+    learned = learned_positions(member, trajectories, data)
+    longer = continued(member.info.get("beginnings"), trajectories.items)
+    return [found if position is None else None for found, position in zip(longer, learned, strict=True)]
 
 
 def learned_start(evaluator: Evaluator, position: int, item: Trajectory, origin: Origin = "learned") -> Start:
