@@ -289,10 +289,11 @@ class _Checks:
                 continue
             name = target_name(statement.target).text
             written = (part for argument in statement.noise.arguments for part in walk(argument))
-            known = not {PREDICTION, name} & {part.text for part in written if isinstance(part, ast.Name)}
+            names = {part.text for part in written if isinstance(part, ast.Name)}
+            known = not {PREDICTION, name} & names
             if statement.noise.kind.text == "student":
                 return f"the noise of `{name}`, which is Student's", ", or another noise"
-            if not known or any(self._is_learned(each) for each in self._named(statement) if each in self.table):
+            if not known or any(self._is_learned(each) for each in names if each in self.table):
                 what = "is learned" if known else "depends on the predicted value"
                 return f"the noise of `{name}`, which {what}", "; or leave the noise out: it is estimated then"
         return "", ""

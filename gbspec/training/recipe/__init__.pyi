@@ -24,3 +24,4 @@ from .stiffness import prepared as prepared
 from .stiffness import solver_of as solver_of
 from .stiffness import stiff_as_learned as stiff_as_learned
 from .stiffness import unstable_as_learned as unstable_as_learned
+from .weighing import CLEAN as CLEAN

@@ -9,11 +9,10 @@ import numpy as np
 from gbspec.ir import Model
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.stages import Effort, StageName
-from gbspec.training.starts import CLEARLY, WORSE, Tally
+from gbspec.training.starts import CLEARLY, FOLLOWED, WORSE, Tally
 
-ROUNDED, FOLLOWED = 1e-8, 1e-7
-"""Losses up to the first number are those of exact data, whose ratios say nothing; a minimum whose loss is at most the
-second is good, however seldom it was found."""
+ROUNDED = 1e-8
+"""Losses up to this number are those of exact data, whose ratios say nothing."""
 FEW = 1 / 3
 """Where so many of the improved starts end near the best minimum, it is the one that they lead to."""
 

@@ -15,11 +15,10 @@ from scipy.special import chdtrc
 from gbspec.arrays import Array, Mask
 from gbspec.ir import Channel, Model, on_fitted_scale
 from gbspec.training.problem import Integers, Problem
+from gbspec.training.recipe import CLEAN
 
 UNLIKELY = 1e-3
 """The probability below which differences between starts and first values are no errors of measurement."""
-CLEAN = 1e-3
-"""The least standard deviation of noise, relative to that of the data: closer fits count as exact."""
 ANOTHER = 10.0
 """Starts that are smaller by this factor than first values that exceed the noise are no measurements of them."""
 

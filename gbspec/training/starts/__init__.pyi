@@ -4,6 +4,7 @@ from .from_run import earlier as earlier
 from .initial_states import refit_starts as refit_starts
 from .own_constants import refit_own as refit_own
 from .search import CLEARLY as CLEARLY
+from .search import FOLLOWED as FOLLOWED
 from .search import PATIENCE as PATIENCE
 from .search import WITH_STARTS as WITH_STARTS
 from .search import WORSE as WORSE
