@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from gbspec.runs.record import ChannelRecord, MemberRecord
+    from gbspec.runs.member import ChannelRecord, MemberRecord
 
 FOLLOWED, LOST = 0.9, 0.5
 """R² from which whole solutions follow a channel, and below which the fit is not to be relied on: they leave more than

@@ -13,7 +13,8 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings
 from gbspec.runs import files
-from gbspec.runs.record import FitRecord, MemberRecord, StageRecord
+from gbspec.runs.member import MemberRecord, StageRecord
+from gbspec.runs.record import FitRecord
 from gbspec.runs.typed_json import JsonError, decode, encode
 
 if TYPE_CHECKING:

@@ -17,16 +17,9 @@ from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, Covariance, read_certainties
 from gbspec.runs.locks import held_elsewhere
+from gbspec.runs.member import MemberRecord, comparable_losses
 from gbspec.runs.profiles import ProfileRecord, read_profile
-from gbspec.runs.record import (
-    DAMAGED,
-    ConstantRecord,
-    FitRecord,
-    MemberRecord,
-    check_weights,
-    comparable_losses,
-    read_record,
-)
+from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, check_weights, read_record
 
 
 @dataclass(frozen=True)

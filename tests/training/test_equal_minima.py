@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import gbspec
-from gbspec.runs import ChannelRecord
+from gbspec.runs import ChannelRecord, SearchRecord, StageRecord, last_search
 from gbspec.training import Effort
 from gbspec.training.runs.minima import found_once
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.starts import Tally
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -137,12 +136,14 @@ def test_a_step_that_is_too_long_makes_no_equal_minimum(tmp_path: Path) -> None:
     assert not any("other constants" in text for text in fit.warnings)
 
 
-ONCE = "9 of 9 starts can be solved, {} improved, the best minimum found {}"
+ONCE = SearchRecord(64, 1)
 
 
-def searched(remark: str, loss: float = 0.1, notes: tuple[str, ...] = (), horizons: bool = False) -> MemberResult:
-    stages = [SimpleNamespace(name="search", remark=remark)]
-    stages += [SimpleNamespace(name="growing horizons", remark=None)] if horizons else []
+def searched(
+    search: SearchRecord | None, loss: float = 0.1, notes: tuple[str, ...] = (), horizons: bool = False
+) -> MemberResult:
+    stages = [StageRecord("search", 64, loss, 1.0, search=search)]
+    stages += [StageRecord("growing horizons", 9, loss, 1.0)] if horizons else []
     channels = {"x": ChannelRecord(0.9, 0.2, values=200)}
     found = SimpleNamespace(stages=stages, notes=notes, loss=loss, finished=True, channels=channels, objective=None)
     return cast(MemberResult, found)
@@ -151,15 +152,15 @@ def searched(remark: str, loss: float = 0.1, notes: tuple[str, ...] = (), horizo
 @pytest.mark.parametrize(
     ("result", "said"),
     [
-        (searched(ONCE.format(64, "1 time")), True),
-        (searched(ONCE.format(64, "1 time (20 others near it)")), True),
-        (searched(ONCE.format(64, "1 time (21 others near it)")), False),
-        (searched(ONCE.format(64, "2 times")), False),
-        (searched(ONCE.format(8, "1 time (1 other near it)")), True),
-        (searched("exact", 0.1), False),
-        (searched(ONCE.format(64, "1 time"), 1e-9), False),
-        (searched(ONCE.format(64, "1 time"), notes=("other constants fit the data equally well: …",)), False),
-        (searched(ONCE.format(64, "1 time"), horizons=True), False),
+        (searched(ONCE), True),
+        (searched(SearchRecord(64, 1, 20)), True),
+        (searched(SearchRecord(64, 1, 21)), False),
+        (searched(SearchRecord(64, 2)), False),
+        (searched(SearchRecord(8, 1, 1)), True),
+        (searched(None), False),
+        (searched(ONCE, 1e-9), False),
+        (searched(ONCE, notes=("other constants fit the data equally well: …",)), False),
+        (searched(ONCE, horizons=True), False),
     ],
 )
 def test_a_best_minimum_that_was_found_once_is_told(result: MemberResult, said: bool) -> None:
@@ -170,14 +171,19 @@ def test_a_best_minimum_that_was_found_once_is_told(result: MemberResult, said: 
 
 
 def test_members_that_agree_have_found_it_several_times() -> None:
-    once = ONCE.format(64, "1 time")
-    assert not found_once({0: searched(once, 0.1), 1: searched(once, 0.101)}, "normal")
-    (said,) = found_once({0: searched(once, 0.1), 1: searched(once, 0.3)}, "normal")
+    assert not found_once({0: searched(ONCE, 0.1), 1: searched(ONCE, 0.101)}, "normal")
+    (said,) = found_once({0: searched(ONCE, 0.1), 1: searched(ONCE, 0.3)}, "normal")
     assert said.startswith("member 0: "), "of the worse one that is said already"
 
 
-def test_a_search_counts_what_ended_near_its_best_minimum() -> None:
-    assert str(Tally(64, 1, 3)) == "64 improved, the best minimum found 1 time (3 others near it)"
-    assert Tally.of([None, f"5 of 9 starts can be solved, {Tally(64, 1, 3)}", None]) == Tally(64, 1, 3)
-    assert Tally.of([str(Tally(8, 1)), str(Tally(8, 12, 9))]) == Tally(8, 12)
-    assert Tally.of([None, "nothing"]) is None
+def test_a_fit_keeps_what_its_last_search_has_found(tmp_path: Path) -> None:
+    assert str(SearchRecord(64, 1, 3)) == "64 improved, the best minimum found 1 time (3 others near it)"
+    first, last = (StageRecord("search", 8, 0.1, 1.0, search=one) for one in (ONCE, SearchRecord(8, 12, 9)))
+    assert last_search([first, last, StageRecord("whole solutions", 3, 0.1, 1.0)]) == SearchRecord(8, 12, 9)
+    assert last_search([]) is None
+    (tmp_path / "m.gb").write_text("model m\nstate x = 1\nlearn k in [0.01, 10]\nx' = -k*x\nobserve x\n")
+    rows = "".join(f"{t},{np.exp(-0.7 * t):.3f}\n" for t in np.arange(0.0, 4.0, 0.5))
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    found = last_search(fit.members[0].stages)
+    assert found is not None and found.times >= 2, "kept in fit.json, from which this run was read"

@@ -17,6 +17,7 @@ from gbspec.runs import (
     FitRecord,
     LikelihoodRecord,
     NoiseRecord,
+    SearchRecord,
     StageRecord,
     WhitenessRecord,
     how_followed,
@@ -276,18 +277,18 @@ def test_residuals_that_are_no_stated_noise_are_told(noise: str, found: float, s
 
 
 @pytest.mark.parametrize(
-    ("remarks", "doubted"),
+    ("search", "doubted"),
     [
-        ((), True),
-        (("9 of 9 starts can be solved, 8 improved, the best minimum found 1 time",), True),
-        (("9 of 9 starts can be solved, 8 improved, the best minimum found 12 times",), False),
-        (("8 improved, the best minimum found 2 times", "8 improved, the best minimum found 3 times"), False),
-        (("8 improved, the best minimum found 8 times", "8 improved, the best minimum found 1 time"), True),
+        (None, True),
+        (SearchRecord(8, 1), True),
+        (SearchRecord(8, 2), True),
+        (SearchRecord(8, 3), False),
+        (SearchRecord(8, 12), False),
     ],
 )
-def test_a_minimum_that_was_found_several_times_is_not_called_bad(remarks: tuple[str, ...], doubted: bool) -> None:
+def test_a_minimum_that_was_found_several_times_is_not_called_bad(search: SearchRecord | None, doubted: bool) -> None:
     model = model_of("model m\nstate x in [0.1, 9]\nlearn k = 1\nx' = -k*x\nobserve x noise normal(0.2)\n")
-    (text,) = above_stated({"x": 0.7}, model, remarks=remarks)
+    (text,) = above_stated({"x": 0.7}, model, search=search)
     assert ("the fit is in a bad minimum" in text) is doubted
     assert ("`--effort high`" in text) is doubted
     assert "the model lacks something" in text and "the noise is larger" in text and "another model" in text

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.runs import SearchRecord
 from gbspec.training.engines import Engine, explain_failure
 
 State = dict[str, Array]
@@ -23,7 +24,7 @@ class Outcome:
     """The state after a step, the loss there (mean of half squared residuals), and whether the stage has ended.
 
     `note` is a warning for the user that is kept with the fit; `remark` says in words how far the stage is, in the
-    progress and afterwards in the summary.
+    progress and afterwards in the summary; `search` is what a search has found so far.
     """
 
     state: State
@@ -31,6 +32,7 @@ class Outcome:
     done: bool
     note: str = ""
     remark: str = ""
+    search: SearchRecord | None = None
 
 
 class Stage(Protocol):

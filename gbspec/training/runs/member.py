@@ -265,7 +265,7 @@ class _Runner:
         constants = self._constants(position.theta)
         position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
         position.stages[-1] = StageRecord(
-            stage.name, position.iteration, outcome.loss, stage_seconds, outcome.remark or None
+            stage.name, position.iteration, outcome.loss, stage_seconds, outcome.remark or None, outcome.search
         )
         self._score()
         names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]

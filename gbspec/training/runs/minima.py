@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from gbspec.ir import Model
+from gbspec.runs import last_search
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.stages import Effort, StageName
-from gbspec.training.starts import CLEARLY, FOLLOWED, WORSE, Tally
+from gbspec.training.starts import CLEARLY, FOLLOWED, WORSE
 
 ROUNDED = 1e-8
 """Losses up to this number are those of exact data, whose ratios say nothing."""
@@ -44,15 +45,15 @@ def found_once(results: Mapping[int, MemberResult], effort: Effort, model: Model
         return []
     as_good = [member for member, loss in losses.items() if loss <= _bound(results, losses[best])]
     result, names = results[best], [stage.name for stage in results[best].stages]
-    tally = Tally.of(stage.remark for stage in result.stages)
+    search = last_search(result.stages)
     named = StageName.HORIZONS in names or any("other constants fit" in note for note in result.notes)
-    if tally is None or tally.times != 1 or len(as_good) > 1 or named or 1 + tally.near >= FEW * tally.improved:
+    if search is None or search.times != 1 or len(as_good) > 1 or named or 1 + search.near >= FEW * search.improved:
         return []
-    near = f", and {tally.near} of the others ended near it" if tally.near else ""
+    near = f", and {search.near} of the others ended near it" if search.near else ""
     more = "`--members 5` search" if effort == "high" else "`--effort high` searches"
     return [
-        f"member {best}: of {tally.improved} starts that were improved one led to the best minimum{near}: there may be "
-        f"a better one that none led to. {more} for longer; narrower bounds, or starting values near what is meant, "
+        f"member {best}: of {search.improved} starts that were improved one led to the best minimum{near}: there may "
+        f"be a better one that none led to. {more} for longer; narrower bounds, or starting values near what is meant, "
         "help too"
     ]
 

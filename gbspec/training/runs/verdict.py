@@ -4,15 +4,14 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, autocorrelated, how_followed
+from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
-from gbspec.training.starts import Tally
 
 if TYPE_CHECKING:
     from gbspec.training.runs.summary import MemberResult
@@ -114,16 +113,15 @@ def above_stated(
     noise: Mapping[str, float],
     model: Model,
     tabled: Mapping[str, float] | None = None,
-    remarks: Iterable[str | None] = (),
+    search: SearchRecord | None = None,
 ) -> list[str]:
     """A warning for each channel whose residuals, of the standard deviation `noise`, are no stated noise.
 
     `tabled` has channels with values that have standard deviations in the table: how many times as large as these their
     residuals are. Noise is that of measurements alone: with disturbances or differences between trajectories it is not
-    compared. A minimum that a search found several times, by the `remarks` of the stages, is not called a bad one.
+    compared. A minimum that a `search` found several times is not called a bad one.
     """
-    tally = Tally.of(remarks)
-    often = tally is not None and tally.times >= SEVERAL
+    often = search is not None and search.times >= SEVERAL
     why, helps = (_LACKS, _OTHER_MODEL) if often else (_BAD_OR_LACKS, _OTHER_MINIMUM)
     out = []
     for channel in model.channels if not model.marginal else ():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.ir import Model
+from gbspec.runs import last_search
 from gbspec.training.options import TrainOptions
 from gbspec.training.runs import verdict
 from gbspec.training.runs.minima import found_once, said_of_minima
@@ -27,8 +28,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
         whole += [f"member {member}: {text}" for text in (*blown, *followed, *result.left, *result.notes)]
         left = [*verdict.lacking(result.channels), *_of_residuals(result, options, model)]
         if model is not None:
-            remarks = [stage.remark for stage in result.stages]
-            left += verdict.above_stated(result.noise, model, result.tabled, remarks)
+            left += verdict.above_stated(result.noise, model, result.tabled, last_search(result.stages))
         parts += [f"member {member}: {text}" for text in (*left, *result.beyond)]
         single += [f"member {member}: {text}" for text in result.tied]
     return [*whole, *said_of_minima(results), *found_once(results, options.effort, model), *parts, *single]

@@ -10,7 +10,6 @@ from .search import WITH_STARTS as WITH_STARTS
 from .search import WORSE as WORSE
 from .search import Patience as Patience
 from .search import Search as Search
-from .search import Tally as Tally
 from .search import followed as followed
 from .search import robust_loss as robust_loss
 from .sizes import sized_starts as sized_starts

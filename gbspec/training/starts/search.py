@@ -8,8 +8,7 @@ step, until the best minimum has been found several times or the effort is spent
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ import torch
 from gbspec.arrays import Array, Mask
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
+from gbspec.runs import SearchRecord
 from gbspec.training.engines import (
     Engine,
     TorchEngine,
@@ -64,31 +64,6 @@ SETTLED = 1e-6
 """The relative fall of the objective at which those that are compared have come to rest."""
 IDLE = 0.1
 """A constant by whose change by this (on the scale of training) no residual changes is not compared."""
-
-
-@dataclass(frozen=True)
-class Tally:
-    """How many starts were improved, how many `times` the best minimum was found, and how many others ended `near` it:
-    in none that is a worse one. The text is what stages keep of a search."""
-
-    improved: int
-    times: int
-    near: int = 0
-
-    def __str__(self) -> str:
-        if self.times != 1:
-            return f"{self.improved} improved, the best minimum found {self.times} times"
-        others = f" ({self.near} other{'' if self.near == 1 else 's'} near it)" if self.near else ""
-        return f"{self.improved} improved, the best minimum found 1 time{others}"
-
-    @staticmethod
-    def of(remarks: Iterable[str | None]) -> Tally | None:
-        """That of the last search among the remarks of stages; None if there was none."""
-        found = [match for text in remarks if text and (match := _TALLY.search(text))]
-        return Tally(*(int(number or 0) for number in found[-1].groups())) if found else None
-
-
-_TALLY = re.compile(r"(\d+) improved, the best minimum found (\d+) times?(?: \((\d+) others? near it\))?")
 
 
 @dataclass(frozen=True)
@@ -247,11 +222,11 @@ class Search:
         endless = int(state.get("endless", 0))
         why = f" (in {endless} events follow each other without end)" if endless else ""
         near = int(np.sum(found <= best * (1 + max(WORSE, CLEARLY / self.count)))) - count
-        tally = Tally(len(found), count, near)
-        remark = f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {tally}"
+        search = SearchRecord(len(found), count, near)
+        remark = f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {search}"
         new: State = state | {"theta": theta, "best": np.array(best), "found": found, **minima}
         note = self._others(minima, theta) if done else ""
-        return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, note, remark)
+        return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, note, remark, search)
 
     # ---------------------------------------------------------------- minima that are equally good
     def _minima(self, state: State, reached: float, vector: Array, best: float) -> State:
