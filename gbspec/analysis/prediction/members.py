@@ -87,10 +87,11 @@ class MemberPredictions:
         found, variables = self._solve(item, start)
         variance = np.zeros_like(variables)
         refitted: Refit = unchanged
-        if start.origin in ("estimated", "continued") and not found.failure:
-            variance, refitted = self._uncertainty(item, seen, start, variables, estimator)
-        # What training trajectories determine, their own start and the model together, has no further uncertainty.
-        if start.origin != "learned" and not found.failure:
+        # Of channels in rows that were fitted the noise says nearly all; of unmeasured states it says nothing.
+        enough = start.origin == "learned" and not hidden_states(self.model)
+        if not found.failure and not enough:
+            if start.origin in ("estimated", "continued", "learned"):
+                variance, refitted = self._uncertainty(item, seen, start, variables, estimator)
             for state, deviation in measured_deviations(self.run, item, estimator.free(seen)).items():
                 change = deviation * self._slope(item, start, deviation, state=state)
                 variance = variance + refitted(change) ** 2
@@ -107,10 +108,11 @@ class MemberPredictions:
         """The start of a trajectory of which rows are `seen`, and the estimator that has what is free in it."""
         item, position, longer = self.trajectories.items[index], self.positions[index], self.longer[index]
         if position is not None:
-            return learned_start(self.evaluator, position, item), self.estimator
-        if not goes_on or longer is None:
+            start = learned_start(self.evaluator, position, item)
+        elif goes_on and longer is not None:
+            start = learned_start(self.evaluator, longer[0], item, "continued")
+        else:
             return self.estimator.start(seen), self.estimator
-        start = learned_start(self.evaluator, longer[0], item, "continued")
         # The training has estimated measured initial values too, or has believed them.
         kept = [i for i, state in enumerate(self.model.states) if state.initial.kind == "measured"]
         believed = measured_start(self.model, seen, start.state)
