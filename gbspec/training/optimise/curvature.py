@@ -17,7 +17,7 @@ from gbspec.arrays import Array
 from gbspec.runs import Covariance
 from gbspec.training.engines import Engine, Linearised, linearise
 from gbspec.training.optimise.levenberg_marquardt import DELTA_HIGH, DELTA_LOW, WEAK
-from gbspec.training.optimise.normal_equations import huber_weights
+from gbspec.training.optimise.normal_equations import huber_weights, of_estimates
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.problem import Integers, Parameters
 
@@ -35,9 +35,9 @@ FIXED_POINT = 100
 """Iterations of the evidence's fixed point."""
 
 
-def covariance(engine: Engine, theta: Array) -> Covariance | None:
-    """The covariance at the end of a fit; None if it is not known (a solution that is not finite, a singular matrix) or
-    too large to be computed."""
+def covariance(engine: Engine, theta: Array, robust: bool = True) -> Covariance | None:
+    """The covariance at the end of a fit, by Huber's function (`robust`) or least squares; None if it is not known (a
+    solution that is not finite, a singular matrix) or too large to be computed."""
     parameters = engine.parameters
     if int(engine.problem.seen.sum()) * parameters.n_shared > LARGEST or not parameters.n_shared:
         return None
@@ -45,7 +45,7 @@ def covariance(engine: Engine, theta: Array) -> Covariance | None:
         system = linearise(engine, theta)
         if not bool(np.isfinite(system.residuals.numpy()).all()):
             return None
-        return _solved(_Reduced.of(engine, system, theta), parameters, theta)
+        return _solved(_Reduced.of(engine, system, theta, robust), parameters, theta)
     except np.linalg.LinAlgError:
         return None
 
@@ -156,8 +156,8 @@ class _Reduced:
     """The normal matrix of the shared columns [m, n] after elimination of the trajectories' own.
 
     `squares` is the sum of squared residuals, `count` their number (as much as each counts), `used` the degrees of
-    freedom of own columns. `shared` and, for each trajectory, `thin` [r, n_local] have the matrix
-    A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T. `rows` [m] are the residuals, of priors too.
+    freedom of own columns; `limited` are the residuals and Huber's limits. `shared` and, for each trajectory, `thin`
+    [r, n_local] have the matrix A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T. `rows` [m] are the residuals, of priors too.
     """
 
     shared: Array
@@ -167,13 +167,15 @@ class _Reduced:
     count: float
     used: float
     weak: float
+    limited: tuple[Array, Array | float]
 
     @classmethod
-    def of(cls, engine: Engine, system: Linearised, theta: Array) -> _Reduced:
+    def of(cls, engine: Engine, system: Linearised, theta: Array, robust: bool = True) -> _Reduced:
         measured = system.residuals.numpy()
         size = np.abs(engine.problem.of_noise(measured))
-        delta = float(np.clip(4 * np.median(size), DELTA_LOW, DELTA_HIGH)) if len(measured) else np.inf
-        weights = huber_weights(measured, engine.problem.limit(delta))
+        delta = float(np.clip(4 * np.median(size), DELTA_LOW, DELTA_HIGH)) if len(measured) and robust else np.inf
+        limit = engine.problem.limit(delta)
+        weights = huber_weights(measured, limit)
         priors = Priors.of(engine.problem, engine.parameters, measured)
         rows = priors.with_rows(system, theta)
         balance = float(weights.mean()) if len(weights) else 1.0
@@ -192,7 +194,7 @@ class _Reduced:
         known = float(np.sum(weights * squares)), float(counts.sum())
         shared = rows.shared.numpy()
         shared *= root[:, None]  # in place, as it may be large
-        return cls(shared, rows.residuals.numpy() * root, tuple(thin), *known, used, weak)
+        return cls(shared, rows.residuals.numpy() * root, tuple(thin), *known, used, weak, (measured, limit))
 
     def times(self, columns: Array) -> Array:
         """The product [n, k] of the matrix with `columns` [n, k]."""
@@ -232,9 +234,10 @@ def _solved(reduced: _Reduced, parameters: Parameters, theta: Array) -> Covarian
     of_constants = float(np.trace(inverse @ (block - reduced.weak * np.eye(total - n))))
     ridge, variance = _evidence(reduced, values, theta[:n], reduced.used + of_constants)
     shares = ridge / (values + ridge) if n else np.zeros(0)
+    effective = float(np.sum(1.0 - shares)) + reduced.used + of_constants
     kept = np.flatnonzero(shares < 1 - NEGLIGIBLE)[::-1]
     slopes = parameters.bijections(parameters.shared).derivative(theta[n:total])
-    return Covariance(
+    found = Covariance(
         names=tuple(parameters.weight_shapes),
         constants=tuple(parameters.model.learnables[i].name for i in parameters.shared),
         spread=float(np.sqrt(variance / ridge)) if n else 0.0,
@@ -243,6 +246,7 @@ def _solved(reduced: _Reduced, parameters: Parameters, theta: Array) -> Covarian
         coupling=slopes[:, None] * coupling,
         conditional=slopes[:, None] * (variance * inverse) * slopes,
     )
+    return found.widened(float(np.sqrt(of_estimates(*reduced.limited, effective))))
 
 
 def _evidence(reduced: _Reduced, values: Array, weights: Array, others: float) -> tuple[float, float]:

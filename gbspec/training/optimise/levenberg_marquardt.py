@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, Linearised, linearise, residual_vector
-from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights
+from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights, of_estimates
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.problem import Parameters, Problem, mean_loss
@@ -156,6 +156,7 @@ class LevenbergMarquardt:
             local = equations.local_variances(weak)
         freedom = _used(equations, np.diag(inverse), local, weak)
         variance = noise_variance(engine.problem, residuals, delta, freedom)
+        variance *= of_estimates(residuals, fit.limit, freedom)
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.places])
         for i, slope in enumerate(slopes):
             own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])

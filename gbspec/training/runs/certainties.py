@@ -34,7 +34,9 @@ def certainties(
     marginal = context.model.marginal
     blend = 0.0 if marginal or whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
-    known = None if marginal else covariance(engine, theta)
+    # Least squares fit models whose functions are all known, unless Levenberg-Marquardt alone was asked for.
+    robust = bool(context.model.networks) or context.options.method == "lm"
+    known = None if marginal else covariance(engine, theta, robust)
     if member.networks and engine.problem.packed.rows < POINTS:
         dense = replace(context, trajectories=_dense(context.trajectories), _packed={})
         engine = dense.engine(parameters, blend, step_fraction(stages))
