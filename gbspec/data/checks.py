@@ -30,6 +30,8 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
         _in_range(table, quantity, cells, findings)
         if quantity.positive:
             _positive(table, quantity, cells, findings)
+        if quantity.counts:
+            _whole(table, quantity, cells, findings)
         if quantity.role == "channel":
             _deviations(table, quantity, cells, findings)
             _one_limit(table, quantity, cells, findings)
@@ -123,6 +125,32 @@ def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findi
             Cell(table.path, row, quantity.column),
             help="leave the cell empty if it means `not detected`, or choose `noise normal(…)`",
             notes=notes,
+        )
+
+
+def _whole(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    """Reports values that are no counts, and standard deviations of counts, which the noise already gives."""
+    known = np.ones(len(cells.value), dtype=np.bool_) if cells.side is None else cells.side == 0
+    bad = np.flatnonzero(known & ((cells.value < 0) | (cells.value != np.round(cells.value))))
+    for i, notes in shown(bad, "cells"):
+        row = int(cells.row[i])
+        findings.error(
+            "GB734",
+            f"`{quantity.column}` is {cells.value[i]:g} in row {row}, and counts are whole numbers from 0",
+            Cell(table.path, row, quantity.column),
+            help="give what was counted, and put the volume or the share that was counted into the expression "
+            f"(`observe {quantity.name} = 0.3*C`); for a concentration write `noise normal(a*sqrt(y))` with "
+            "`learn a = 0.1 > 0`",
+            notes=notes,
+        )
+    given = np.flatnonzero(np.isfinite(cells.sd))
+    if len(given):
+        row, column = int(cells.row[given[0]]), f"sd_{quantity.column}"
+        findings.error(
+            "GB734",
+            f"`{column}` gives the standard deviation of a count, which its noise already gives",
+            Cell(table.path, row, column),
+            help="leave the column out; for counts that vary more than Poisson's write `noise negative_binomial(k)`",
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, assert_never
 
 from gbspec.data.names import cell_name, similar
 from gbspec.diagnostics import Cell, Findings
+from gbspec.ir import NOISES
 
 if TYPE_CHECKING:
     from gbspec.data.sheet import Sheet
@@ -37,6 +38,8 @@ class Quantity:
     range: Range | None = None
     positive: bool = False
     """Whether its values must be above zero (a channel with lognormal noise)."""
+    counts: bool = False
+    """Whether its values must be whole numbers from 0 (a channel with the noise of counts)."""
     categories: tuple[str, ...] = ()
     """The names that stand in its cells (a condition with categories)."""
     labels: bool = False
@@ -53,7 +56,8 @@ def quantities(model: Model, require_channels: bool = True, regimens: bool = Tru
         column = cell_name(channel.column or channel.name)
         bounds = None if channel.state is None else model.states[channel.state].range
         positive = channel.noise is not None and channel.noise.kind == "lognormal"
-        found.append(Quantity("channel", i, channel.name, column, require_channels, bounds, positive))
+        made = Quantity("channel", i, channel.name, column, require_channels, bounds, positive)
+        found.append(replace(made, counts=channel.noise is not None and NOISES[channel.noise.kind].counts))
     for i, channel in enumerate(model.channels):
         column = "sd_" + cell_name(channel.column or channel.name)
         found.append(Quantity("sd", i, channel.name, column, False))

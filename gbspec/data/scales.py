@@ -9,6 +9,8 @@ averages, 0 where nothing was measured. The scale of a channel is
   by the channels' common noise level (the mean of stated noise / standard deviation of the data), so that all
   residuals are in units of the data's standard deviation and the stated noises determine the channels' relative
   weights. An entry with its own standard deviation has its own scale;
+- of counts: as without a stated noise, and in proportion to the root of the count (at least 1), which is about its
+  standard deviation, over the root of the mean of all;
 - with an estimated noise: as if it were stated. Where successive residuals follow one another, only a share of the
   channel's values counts: its scale is divided by the square root of this share.
 
@@ -26,7 +28,7 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.data.statistics import deviations
 from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.ir import Model, logarithmic
+from gbspec.ir import Model, counted_channels, logarithmic
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Scales:
     level: float
     noise: float | None
     levels: Array | None = None
+    counts: Array | None = None
+    """The mean count [C] of channels that are counts, NaN of others (None: none are)."""
 
     @property
     def value_weights(self) -> Array:
@@ -58,7 +62,11 @@ class Scales:
         # That of an average is smaller by the root of their number, which `weights` has already.
         found = np.where(self.log, relative, sd) * np.sqrt(np.maximum(counts, 1.0))
         own = np.isfinite(found) & (found > 0)
-        return np.where(own, np.where(own, found, 1.0) / self.level, self.channel)
+        usual = self.channel
+        if self.counts is not None:
+            root = np.sqrt(np.maximum(np.nan_to_num(values), 1.0) / np.where(self.counts > 0, self.counts, 1.0))
+            usual = np.where(self.counts > 0, self.channel * root, self.channel)
+        return np.where(own, np.where(own, found, 1.0) / self.level, usual)
 
     def factor(self, item: Trajectory) -> Array:
         """w / s [R, C] of a trajectory's measurements; 0 where nothing was measured."""
@@ -100,7 +108,19 @@ def scales_of(model: Model, trajectories: Trajectories, estimated: Estimated | N
     if estimated is not None:
         channel = np.where(believed, channel, channel / np.sqrt(estimated.share))
         levels = np.where(believed, levels, levels * np.sqrt(estimated.share))
-    return Scales(log, channel, deviation, level, level if believed.all() and level > 0 else None, levels)
+    noise = level if believed.all() and level > 0 else None
+    return Scales(log, channel, deviation, level, noise, levels, _mean_counts(model, trajectories))
+
+
+def _mean_counts(model: Model, trajectories: Trajectories) -> Array | None:
+    """The mean of the measured counts, each at least 1, of channels [C] that are counts; None without any."""
+    counted = counted_channels(model)
+    if not counted.any():
+        return None
+    values = np.concatenate([np.zeros((0, len(counted))), *(item.values for item in trajectories.items)])
+    known = np.isfinite(values)
+    total = np.where(known, np.maximum(np.nan_to_num(values), 1.0), 0.0).sum(axis=0)
+    return np.where(counted, total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
 def unstated(model: Model, trajectories: Trajectories) -> Mask:

@@ -15,6 +15,12 @@ from .censoring import Censored as Censored
 from .coordinates import LEAST as LEAST
 from .coordinates import Coordinate as Coordinate
 from .coordinates import coordinates_of as coordinates_of
+from .counts import LEAST_COUNT as LEAST_COUNT
+from .counts import count_moments as count_moments
+from .counts import count_quantile as count_quantile
+from .counts import counted_channels as counted_channels
+from .counts import deviation_of_counts as deviation_of_counts
+from .counts import noise_form as noise_form
 from .delays import Delay as Delay
 from .derivatives import between_jumps as between_jumps
 from .derivatives import derivative as derivative
@@ -25,7 +31,6 @@ from .distributions import PREDICTION as PREDICTION
 from .distributions import Distribution as Distribution
 from .distributions import Level as Level
 from .distributions import Noise as Noise
-from .distributions import NoiseKind as NoiseKind
 from .distributions import Spread as Spread
 from .dumping import dump as dump
 from .dumping import guarantee as guarantee
@@ -89,6 +94,10 @@ from .model import TruthFunction as TruthFunction
 from .model import Unknown as Unknown
 from .model import symbol as symbol
 from .model import unknown_function as unknown_function
+from .noises import NOISES as NOISES
+from .noises import WITH_DENSITY as WITH_DENSITY
+from .noises import NoiseForm as NoiseForm
+from .noises import NoiseKind as NoiseKind
 from .residual import LEAST_SIZE as LEAST_SIZE
 from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic

@@ -7,11 +7,11 @@ from typing import Literal, TypeAlias
 
 import sympy
 
+from gbspec.ir.noises import NoiseKind
+
 Expr: TypeAlias = sympy.Expr
 
 Spread = Literal["lognormal", "normal", "logitnormal", "standard"]
-
-NoiseKind = Literal["normal", "lognormal", "student"]
 
 PREDICTION = sympy.Symbol("prediction of the channel", real=True)
 """The prediction in the expression of a noise; not a name that a model can declare."""
@@ -52,25 +52,26 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Noise:
-    """`normal(sd)` or `student(scale, df)` in the channel's unit, or `lognormal(cv)`.
+    """`normal(sd)` or `student(scale, df)` in the channel's unit, `lognormal(cv)`, `poisson` or `negative_binomial(k)`.
 
-    If the scale is learned, `value` is its expression in learnables and PREDICTION, and `scale` not a number. Under
-    `student` it always is: such a channel has a likelihood and no sum of squares. `freedom` is the expression of its
-    degrees of freedom, in learnables.
+    If the scale is learned, `value` is its expression in learnables and PREDICTION, and `scale` not a number. Where the
+    noise has a density of its own (`noises.py`) it always is: such a channel has a likelihood and no sum of squares;
+    of counts `value` is the standard deviation. `shape` is the expression of the degrees of freedom of `student` and of
+    the size of `negative_binomial`, in learnables.
     """
 
     kind: NoiseKind
     scale: float = field(hash=False)
     value: Expr | None = None
-    freedom: Expr | None = None
+    shape: Expr | None = None
 
     def __eq__(self, other: object) -> bool:
         """NaN, the scale of a learned noise, differs from itself, and Python 3.13 compares field by field."""
         if not isinstance(other, Noise):
             return NotImplemented
         same = self.value is not None or self.scale == other.scale
-        return same and (self.kind, self.value, self.freedom) == (
+        return same and (self.kind, self.value, self.shape) == (
             other.kind,
             other.value,
-            other.freedom,
+            other.shape,
         )

@@ -14,6 +14,7 @@ from gbspec.ir.categories import category_text
 from gbspec.ir.distributions import Distribution, Level, Noise
 from gbspec.ir.events import Event, Timing
 from gbspec.ir.model import NN, Condition, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
+from gbspec.ir.noises import NOISES
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
@@ -193,7 +194,7 @@ def _mathematics(model: Model) -> list[str]:
         (
             f"{_head(c)} = {written(c.value)}"
             + ("" if c.state is None else f"  (state {c.state})")
-            + ("" if c.noise is None else f" noise {c.noise.kind}({_scale(c.noise)})")
+            + ("" if c.noise is None else f" noise {_noise(c.noise)}")
             + _column(c.name, c.column)
             for c in model.channels
         ),
@@ -246,9 +247,10 @@ def _event(event: Event) -> str:
     return f"{event.name} {when}{priority}: " + ", ".join(f"{name} = {written(v)}" for name, v in event.values)
 
 
-def _scale(noise: Noise) -> str:
-    scale = repr(noise.scale) if noise.value is None else written(noise.value)
-    return scale if noise.freedom is None else f"{scale}, {written(noise.freedom)}"
+def _noise(noise: Noise) -> str:
+    scale = [] if NOISES[noise.kind].counts else [repr(noise.scale) if noise.value is None else written(noise.value)]
+    parameters = scale if noise.shape is None else [*scale, written(noise.shape)]
+    return f"{noise.kind}({', '.join(parameters)})" if parameters else noise.kind
 
 
 def _array(array: StateArray) -> Iterable[str]:

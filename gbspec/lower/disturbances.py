@@ -8,7 +8,7 @@ import sympy
 
 from gbspec import ir
 from gbspec.diagnostics import Findings, Span
-from gbspec.ir import Expr, symbol
+from gbspec.ir import NOISES, Expr, symbol
 
 
 def disturbance(
@@ -91,10 +91,14 @@ def refuse_together(model: ir.Model, findings: Findings) -> None:
     for channel in model.channels:
         if channel.noise is not None and channel.noise.value is not None:
             help = "leave out the noise: its standard deviation is then learned, or leave out the diffusions"
+            if NOISES[channel.noise.kind].counts:
+                root = f"`observe sqrt_{channel.name} = sqrt(…)`, with the roots of the counts in the table"
+                help = f"write {root}: their standard deviation is then learned; or leave out the diffusions"
             if channel.noise.kind == "lognormal":
                 logarithm = f"`observe ln_{channel.name} = log(…)`, whose standard deviation is learned"
                 help = f"write {logarithm}, or give the noise a number, or leave out the diffusions"
-            why = "is Student's" if channel.noise.kind == "student" else "holds learned constants"
+            form = NOISES[channel.noise.kind]
+            why = f"is {form.whose}" if form.density else "holds learned constants"
             _together(f"the noise of `{channel.name}` {why}", channel.span, help, findings)
 
 

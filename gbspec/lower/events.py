@@ -9,7 +9,7 @@ from dataclasses import replace
 import sympy
 
 from gbspec.diagnostics import Findings, Span
-from gbspec.ir import Channel, Event, Expr, Model, Timing, symbol
+from gbspec.ir import NOISES, Channel, Event, Expr, Model, Timing, symbol
 from gbspec.lower import waiting
 from gbspec.semantics import Checked
 from gbspec.syntax import ast, target_name
@@ -207,7 +207,8 @@ def _refuse_together(model: Model, checked: Checked, findings: Findings) -> None
             holds = (
                 "holds learned constants" if noise.value.free_symbols & learned else "depends on the predicted value"
             )
-            why = "is Student's" if noise.kind == "student" else holds
+            form = NOISES[noise.kind]
+            why = f"is {form.whose}" if form.density else holds
             message = f"the noise of `{channel.name}` {why}, which events do not offer yet"
             help = "write `noise normal(…)` or `noise lognormal(…)` with a number, or leave out the events"
             findings.error("GB351", message, channel.span, help=help + _counted(model, channel, checked))

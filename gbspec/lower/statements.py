@@ -13,8 +13,8 @@ from typing import cast
 import sympy
 
 from gbspec.diagnostics import Findings
+from gbspec.ir import NOISES, Expr, Noise, NoiseKind, deviation_of_counts, lookup, symbol, unknown_function
 from gbspec.ir import PREDICTION as PREDICTED
-from gbspec.ir import Expr, Noise, NoiseKind, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
 from gbspec.lower import algebraic, events, populations, steady, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
@@ -36,7 +36,7 @@ from gbspec.semantics import (
 )
 from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
-_NOISES: Mapping[str, NoiseKind] = {"normal": "normal", "lognormal": "lognormal", "student": "student"}
+_NOISES: Mapping[str, NoiseKind] = {kind: kind for kind in NOISES}
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
@@ -349,10 +349,15 @@ class _Lowering:
 
     def _noise(self, noise: ast.Distribution, name: str) -> Noise:
         """A noise: a number, or an expression that is learned."""
-        argument, kind = noise.arguments[0], _NOISES[noise.kind.text]
+        kind = _NOISES[noise.kind.text]
+        form = NOISES[kind]
+        shape = self._fixed(noise.arguments[-1]) if form.shape else None
+        if form.counts:
+            return Noise(kind, math.nan, deviation_of_counts(shape), shape)
+        argument = noise.arguments[0]
         value = self._fixed(argument, {PREDICTION: PREDICTED, name: PREDICTED})
-        if kind == "student":
-            return Noise(kind, math.nan, value, self._fixed(noise.arguments[1]))
+        if form.density:
+            return Noise(kind, math.nan, value, shape)
         learned = {s for s in value.free_symbols if s == PREDICTED or self._table[s.name].kind is Kind.LEARN}
         return Noise(kind, math.nan, value) if learned else Noise(kind, self._number(argument) or 0.0)
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gbspec.ir import NOISES
 from gbspec.lsp import words
 from gbspec.lsp.hover import declaration
 from gbspec.lsp.workspace import Parsed, Workspace
@@ -17,12 +18,10 @@ _DECLARES = re.compile(r"\s*(?:unknown|function|table)\s[^(]*\Z")
 _TEXT = re.compile(r'"[^"\n]*"?')
 _OPENING, _CLOSING = "([", ")]"
 
-_SPECIAL = {
+_SPECIAL: dict[tuple[str, str], str] = {
     ("prior", "normal"): "normal(mean, sd)",
     ("prior", "lognormal"): "lognormal(median, cv)",
-    ("noise", "normal"): "normal(sd)",
-    ("noise", "lognormal"): "lognormal(cv)",
-    ("noise", "student"): "student(scale, df)",
+    **{("noise", kind): form.signature for kind, form in NOISES.items() if form.parameters},
     ("by", "mlp"): "mlp(width, …, activation=silu)",
 }
 """Words that are called after a clause's keyword."""

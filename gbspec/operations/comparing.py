@@ -37,8 +37,8 @@ class Ratio:
     freedom: int
     p: float
     boundary: bool
-    """Whether the smaller model has a spread of 0, or a normal noise where the larger has Student's, at the edge of
-    what is possible: p is then too large."""
+    """Whether the smaller model has a spread of 0, or a normal noise where the larger has Student's, or Poisson counts
+    where it has negative binomial ones, at the edge of what is possible: p is then too large."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
+from gbspec.ir import WITH_DENSITY
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.graph import Graph
 from gbspec.semantics.merge import Item
@@ -98,7 +99,7 @@ class Numbers:
                 case ast.LearnStatement() as statement:
                     self._learnable(statement)
                 case ast.ObserveStatement(noise=noise):
-                    if noise is not None and noise.kind.text != "student":  # that has its own checks, in `noises`
+                    if noise is not None and noise.kind.text not in WITH_DENSITY:  # by `noises`
                         self._distribution(noise, "noise", 1, "the standard deviation", "the coefficient of variation")
                 case ast.UnknownStatement(arguments=arguments):
                     for argument in arguments:
@@ -231,7 +232,7 @@ class Numbers:
                 f"`{kind}` is not a {what}",
                 distribution.kind.span,
                 help=f"write `{what} normal(…)` or `{what} lognormal(…)`"
-                + (" or `noise student(…, 5)`" if what == "noise" else ""),
+                + (" or `noise student(…, 5)`, or of counts `noise poisson`" if what == "noise" else ""),
             )
             return
         scale = scales[kinds.index(kind)]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from gbspec.diagnostics import Findings, Label
+from gbspec.ir import WITH_DENSITY
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.numbers import Numbers
@@ -291,8 +292,9 @@ class _Checks:
             written = (part for argument in statement.noise.arguments for part in walk(argument))
             names = {part.text for part in written if isinstance(part, ast.Name)}
             known = not {PREDICTION, name} & names
-            if statement.noise.kind.text == "student":
-                return f"the noise of `{name}`, which is Student's", ", or another noise"
+            form = WITH_DENSITY.get(statement.noise.kind.text)
+            if form is not None:
+                return f"the noise of `{name}`, which is {form.whose}", ", or another noise"
             if not known or any(self._is_learned(each) for each in names if each in self.table):
                 what = "is learned" if known else "depends on the predicted value"
                 return f"the noise of `{name}`, which {what}", "; or leave the noise out: it is estimated then"

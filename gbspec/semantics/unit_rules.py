@@ -7,6 +7,7 @@ from fractions import Fraction
 from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics import noise_units
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.conversions import Conversions, conversion_of, written_number
 from gbspec.semantics.dimensions import NEEDS_UNIT, Units
@@ -16,7 +17,7 @@ from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.unification import Solution, factor_between
 from gbspec.semantics.units import ONE, Namespace, Unit, read
-from gbspec.syntax import PREDICTION, Kind, ast, normalise, target_name
+from gbspec.syntax import Kind, ast, normalise, target_name
 
 Terms = Mapping[str, Sequence[tuple[bool, Term]]]
 Usable = Callable[[ast.Expression], bool]
@@ -151,7 +152,8 @@ class _Rules:
             case ast.UnknownStatement():
                 self._unknown(statement)
             case ast.ObserveStatement(target=target, value=value, unit=unit):
-                self._noise(statement, self._channel(target_name(target), value, unit))
+                channel = self._channel(target_name(target), value, unit)
+                noise_units.check(self._units, statement, channel, self._usable)
             case ast.DoseStatement(duration=duration, fraction=fraction, lag=lag):
                 self._dose(duration, fraction, lag)
             case ast.DiffusionStatement(target=target, value=value):
@@ -264,17 +266,6 @@ class _Rules:
         elif value is None and not units.solution.equal(wanted, units.of(name.text), name.span):
             units.channel_disagrees(name, wanted)
         return wanted
-
-    def _noise(self, statement: ast.ObserveStatement, unit: Unit) -> None:
-        """Checks the unit of a noise: the channel's for a standard deviation, none for a coefficient of variation."""
-        noise = statement.noise
-        if noise is None or not noise.arguments or not all(map(self._usable, noise.arguments)):
-            return
-        name = target_name(statement.target)
-        formals = {PREDICTION: unit, name.text: unit}
-        first = ONE if noise.kind.text == "lognormal" else self._difference(unit)
-        for argument, wanted in zip(noise.arguments, (first, ONE), strict=False):
-            self._units.carries(argument, wanted, f"the noise of `{name.text}`", name.span, formals)
 
     def _spread(self, name: ast.Name, per: ast.Grouping | None) -> None:
         """Checks the unit of how far values lie apart: that of logarithms has none."""

@@ -12,10 +12,11 @@ import numpy as np
 from gbspec.analysis import interval, noise_at
 from gbspec.arrays import Array, Mask
 from gbspec.files import finite
-from gbspec.ir import logarithmic, residuals
+from gbspec.ir import counted_channels, logarithmic, residuals
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
+    from gbspec.ir import Model
     from gbspec.runs import Run
 
 DRAWS = 24
@@ -27,8 +28,8 @@ class Point:
     """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement.
 
     `predicted` and `sd` are NaN where the solution blew up. `in_logarithms`: the noise is lognormal, so that the
-    interval is multiplicative. `ahead` and `ahead_sd`: the same from the measurements up to the row before, of models
-    with random disturbances; NaN in first rows.
+    interval is multiplicative; `counted`: it is that of a count. `ahead` and `ahead_sd`: the same from the measurements
+    up to the row before, of models with random disturbances; NaN in first rows.
     """
 
     trajectory: str
@@ -38,6 +39,7 @@ class Point:
     predicted: float = math.nan
     sd: float = math.nan
     in_logarithms: bool = False
+    counted: bool = False
     ahead: float = math.nan
     ahead_sd: float = math.nan
 
@@ -90,7 +92,7 @@ def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
     for item in found.items:
         seen = np.array([use != "predicted" for use in item.used], dtype=bool)
         each = (item.label, item.times, found.channels, item.measured, item.mean, item.sd)
-        points += _points(*each, ~seen, logarithmic(run.model))
+        points += _points(*each, ~seen, run.model)
     return points
 
 
@@ -106,7 +108,7 @@ def _stretches(run: Run, fold: Fold) -> list[Point]:
         between = np.var(each, axis=0, ddof=1) if len(each) > 1 else np.zeros_like(mean)
         sd = np.sqrt(between + noise_at(run, mean) ** 2)
         found = (item.label, item.times, fold.whole.channels, item.values, mean, sd)
-        points += _points(*found, rows, logarithmic(run.model))
+        points += _points(*found, rows, run.model)
     return points
 
 
@@ -126,7 +128,7 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
         rows = item.times >= item.start
         found = (item.label, item.times[rows], fold.whole.channels, item.values[rows], one.channels, one.measurement_sd)
         ahead = next_row.channels, next_row.measurement_sd
-        points += _points(*found, mask[rows], logarithmic(run.model), ahead)
+        points += _points(*found, mask[rows], run.model, ahead)
     return points
 
 
@@ -144,7 +146,7 @@ def _points(
     mean: Array,
     sd: Array,
     rows: Mask,
-    log: Mask,
+    model: Model,
     ahead: tuple[Array, Array] | None = None,
 ) -> list[Point]:
     """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns).
@@ -152,10 +154,13 @@ def _points(
     `ahead`: means and standard deviations from the row before.
     """
     tables = (measured, mean, sd) if ahead is None else (measured, mean, sd, *ahead)
+    log, counts = logarithmic(model), counted_channels(model)
 
     def point(i: int, j: int, name: str) -> Point:
         value, predicted, deviation, *one_ahead = (float(table[i, j]) for table in tables)
-        return Point(label, float(times[i]), name, value, predicted, deviation, bool(log[j]), *one_ahead)
+        return Point(
+            label, float(times[i]), name, value, predicted, deviation, bool(log[j]), bool(counts[j]), *one_ahead
+        )
 
     return [
         point(int(i), j, name)
@@ -191,6 +196,7 @@ def _errors(points: Sequence[Point], channel_sd: float, unsolved: int) -> Errors
     logs = math.nan
     if (measured > 0).all() and (predicted > 0).all():
         logs = float(np.sqrt(np.mean(of_logs**2)))
-    low, high = interval(predicted, sd, np.array([p.in_logarithms for p in points], dtype=bool))
+    logarithms, counted = np.array([[p.in_logarithms, p.counted] for p in points], dtype=bool).T
+    low, high = interval(predicted, sd, logarithms, counted=counted)
     inside = float(np.mean((measured >= low) & (measured <= high)))
     return Errors(len(points), rmse, rmse / channel_sd, float(np.mean(np.abs(error))), logs, inside, unsolved)

@@ -256,7 +256,8 @@ Contract = Bound | RangeContract | ZeroAt | EqualsAt | Shaped | Periodic
 
 @dataclass(frozen=True)
 class Distribution(Node):
-    """`normal(3, 0.5)` or `lognormal(...)` of a prior or a noise, `student(0.1, 5)` of a noise."""
+    """`normal(3, 0.5)` or `lognormal(...)` of a prior or a noise, `student(0.1, 5)` or
+    `poisson` of a noise."""
 
     kind: Name
     arguments: tuple[Expression, ...]

@@ -73,7 +73,7 @@ def test_explain_takes_any_case_and_suggests() -> None:
 
 @pytest.mark.parametrize(
     ("asked", "said"),
-    [("GB999", "codes run from `GB0xx`"), ("GB729", "GB701 to GB728, GB730 to GB733"), ("XYZ", "such as `GB201`")],
+    [("GB999", "codes run from `GB0xx`"), ("GB729", "GB701 to GB728, GB730 to GB734"), ("XYZ", "such as `GB201`")],
 )
 def test_an_unknown_code_is_answered_with_the_known_ones(asked: str, said: str) -> None:
     with pytest.raises(UserError) as caught:

@@ -139,8 +139,8 @@ def test_a_pooled_fit_that_exchanges_two_rates_is_not_the_only_start(tmp_path: P
     assert fit.constants["V"].value == pytest.approx(35, rel=0.3)
 
 
-def test_values_that_are_not_distributed_as_the_model_says_are_told() -> None:
+def test_values_that_are_not_distributed_as_the_model_says_are_told(tmp_path: Path) -> None:
     errors = {"good": ErrorsRecord(100, 0.1, 1.1, 0.2), "bad": ErrorsRecord(100, 0.1, 0.6, 1e-5)}
-    (said,) = said_of_errors(errors)
+    (said,) = said_of_errors(errors, model_of(ORAL, tmp_path))
     assert "`bad`" in said
     assert "variance 0.6" in said

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from gbspec.analysis.prediction.differences import LONGEST, TOO_LONG, suited
-from gbspec.analysis.prediction.noise import depends_on_value, residual_noise
+from gbspec.analysis.prediction.noise import at_least_one, depends_on_value, residual_noise
 from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
@@ -163,7 +163,11 @@ def estimator_of(
     if not depends_on_value(model, fit):
         return Estimator(evaluator, model, scales, noise, released)
     noise = np.array([fit.noise.get(channel.name) or 0.0 for channel in model.channels])
-    return Estimator(evaluator, model, scales, noise, released, lambda values: residual_noise(model, fit, values))
+
+    def varying(values: Array) -> Array:
+        return residual_noise(model, fit, at_least_one(model, values))
+
+    return Estimator(evaluator, model, scales, noise, released, varying)
 
 
 class Estimator:

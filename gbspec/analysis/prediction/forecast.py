@@ -27,7 +27,7 @@ from gbspec.data import TRAJECTORY, present_values
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted
-from gbspec.ir import logarithmic, on_fitted_scale
+from gbspec.ir import counted_channels, logarithmic, on_fitted_scale
 from gbspec.runs import NORMAL_90, said_of_training
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class PredictedTrajectory:
 
     `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
-    are multiplicative; `quantile` is half their width in standard deviations.
+    are multiplicative, `counted` [V] those that are counts; `quantile` is half their width in standard deviations.
     """
 
     label: str
@@ -74,16 +74,17 @@ class PredictedTrajectory:
     in_logarithms: Mask
     failure: str = ""
     quantile: float = NORMAL_90
+    counted: Mask | bool = False
 
     @property
     def low(self) -> Array:
         """Lower end of the 90 % interval [R, V]."""
-        return interval(self.mean, self.sd, self.in_logarithms, self.quantile)[0]
+        return interval(self.mean, self.sd, self.in_logarithms, self.quantile, self.counted)[0]
 
     @property
     def high(self) -> Array:
         """Upper end of the 90 % interval [R, V]."""
-        return interval(self.mean, self.sd, self.in_logarithms, self.quantile)[1]
+        return interval(self.mean, self.sd, self.in_logarithms, self.quantile, self.counted)[1]
 
 
 @dataclass(frozen=True)
@@ -368,6 +369,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
     used = uses(len(item.times), trained, 0 if position is not None or goes_on else rows)
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
+    counted = np.pad(counted_channels(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
-                               in_logarithms, failure, each[0].run.fit.quantile)  # fmt: skip
+                               in_logarithms, failure, each[0].run.fit.quantile, counted)  # fmt: skip

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import logarithmic
+from gbspec.ir import count_quantile, counted_channels, logarithmic, noise_form
 from gbspec.runs import NORMAL_90
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def noise_at(run: Run, values: Array) -> Array:
     """The standard deviation [..., C] of a measurement of channels at `values` [..., C], in their own units: under
-    Student's noise that of a normal one with the same 90 % interval."""
+    Student's noise that of a normal one with the same 90 % interval, of counts that of the distribution."""
     found = residual_noise(run.model, run.fit, values)
     return np.asarray(found * np.where(logarithmic(run.model), np.abs(values), 1.0), dtype=np.float64)
 
@@ -37,7 +37,7 @@ def measured_deviations(run: Run, item: Trajectory, estimated: Sequence[int]) ->
         return {}
     values, out = item.values[0], dict[int, float]()
     (absent,) = absent_states(run.model, [item])
-    deviations = noise_at(run, np.where(np.isfinite(values), values, 0.0))
+    deviations = noise_at(run, at_least_one(run.model, np.where(np.isfinite(values), values, 0.0)))
     for j, channel in enumerate(run.model.channels):
         if channel.state is None or channel.state in estimated or not np.isfinite(values[j]) or absent[channel.state]:
             continue
@@ -103,23 +103,38 @@ def _at(stated: Expr, channel: Channel, values: Array) -> Array:
     return np.sqrt(np.log1p(found**2)) if channel.noise.kind == "lognormal" else found
 
 
+def at_least_one(model: Model, values: Array) -> Array:
+    """Values [..., C] at which to take the noise of measured counts: of a count of 0 the expectation is not known to be
+    0."""
+    return np.where(counted_channels(model), np.maximum(values, 1.0), values)
+
+
 def _wider(channel: Channel, known: Mapping[Expr, float]) -> float:
     """The 90 % interval of Student's noise, in units of that of a normal one whose standard deviation is the scale."""
-    if channel.noise is None or channel.noise.freedom is None:
+    form = noise_form(channel)
+    if form is None or channel.noise is None or channel.noise.shape is None:
         return 1.0
     import sympy
-    from scipy.special import stdtrit
 
-    freedom = float(channel.noise.freedom.xreplace({s: sympy.Float(value) for s, value in known.items()}))
-    return float(stdtrit(freedom, 0.95)) / NORMAL_90
+    upper = form.upper(float(channel.noise.shape.xreplace({s: sympy.Float(value) for s, value in known.items()})))
+    return 1.0 if upper is None else upper / NORMAL_90
 
 
-def interval(mean: Array, sd: Array, in_logarithms: Mask | bool, half: float = NORMAL_90) -> tuple[Array, Array]:
+def interval(
+    mean: Array, sd: Array, in_logarithms: Mask | bool, half: float = NORMAL_90, counted: Mask | bool = False
+) -> tuple[Array, Array]:
     """The 90 % interval around `mean`: both ends, of the same shape, `half` the width in standard deviations away;
-    multiplicative for noise of logarithms."""
+    multiplicative for noise of logarithms. Of counts (`counted`) both ends are quantiles of the distribution with this
+    mean and standard deviation (`gbspec.ir.count_quantile`), whole numbers from 0, and so belong to the interval."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         factor = np.exp(half * sd / np.abs(mean))
         by_factor = in_logarithms & np.isfinite(factor)
         low = np.where(by_factor, np.minimum(mean / factor, mean * factor), mean - half * sd)
         high = np.where(by_factor, np.maximum(mean / factor, mean * factor), mean + half * sd)
+    which = np.broadcast_to(counted, mean.shape)
+    if which.any():
+        from scipy.special import ndtr  # not every command needs it
+
+        for end, probability in ((low, float(ndtr(-half))), (high, float(ndtr(half)))):
+            end[which] = count_quantile(probability, mean[which], sd[which] ** 2)
     return low, high

@@ -6,7 +6,7 @@ training; those of models with random disturbances from `disturbed`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -30,7 +30,7 @@ from gbspec.data import (
     states_beyond,
 )
 from gbspec.diagnostics import ComputationError, Findings
-from gbspec.ir import Model, without_values
+from gbspec.ir import Model, count_moments, count_quantile, counted_channels, without_values
 
 __all__ = ["SimulateOptions", "Solver", "simulate", "solve"]
 
@@ -146,7 +146,8 @@ def simulate(
         solved.append(draws.solved(i, tally))
         if progress is not None:
             progress(i + 1, count)
-    items = _noisy(solved, model, options)
+    known = dict(zip(model.constant_names, map(float, evaluator.constants), strict=True))
+    items = _noisy(solved, model, options, known)
     channels = tuple(channel.name for channel in model.channels)
     meta = {"rejected": str(tally.rejected), "failed": str(tally.failed)}
     meta["outside"] = "\n".join(map(str, states_beyond(model, np.concatenate([one.states for one in solved]))))
@@ -284,11 +285,14 @@ def input_values(model: Model, signals: tuple[Signal, ...], times: Array) -> Arr
     return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
 
 
-def _noisy(solved: list[Solved], model: Model, options: SimulateOptions) -> tuple[Trajectory, ...]:
+def _noisy(
+    solved: list[Solved], model: Model, options: SimulateOptions, constants: Mapping[str, float]
+) -> tuple[Trajectory, ...]:
     """The measurements with noise added.
 
     Its standard deviation is `noise` times that of each channel over everything measured; on a channel with lognormal
-    noise it is relative to the value itself: value * exp(noise * e).
+    noise it is relative to the value itself: value * exp(noise * e). Counts are always drawn from the distribution that
+    the model states, with the values of its `constants`.
     """
     if not solved:
         return ()
@@ -303,6 +307,9 @@ def _noisy(solved: list[Solved], model: Model, options: SimulateOptions) -> tupl
         random = np.random.default_rng([options.seed, index, 1])
         error = options.noise * random.standard_normal(item.values.shape)
         values = np.where(relative, item.values * np.exp(error * relative), item.values + error * deviation)
+        for j in np.flatnonzero(counted_channels(model)).tolist():
+            mean, variance = count_moments(model, j, item.values[:, j], constants)
+            values[:, j] = count_quantile(random.random(len(mean)), mean, variance)
         items.append(_trajectory(item.plan, np.where(item.plan.mask, values, np.nan), model))
     return tuple(items)
 

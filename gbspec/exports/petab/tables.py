@@ -14,7 +14,7 @@ from gbspec.backends import NotCoveredError
 from gbspec.data import Trajectories, Trajectory
 from gbspec.exports.petab.courses import Course, Lines
 from gbspec.exports.sbml import Document
-from gbspec.ir import PREDICTION, Channel, Expr, Learnable
+from gbspec.ir import NOISES, PREDICTION, Channel, Expr, Learnable
 
 OBSERVABLE = "obs_"
 """Before the name of a channel: an observable cannot have the name of a quantity of the model."""
@@ -115,8 +115,9 @@ class Observed:
             return "normal", f"noiseParameter1_{self.name(channel)}"
         if noise is None:
             raise NotCoveredError(f"neither the model nor the table states the noise of `{channel.name}`")
-        if noise.kind == "student":
-            raise NotCoveredError(f"the noise of `{channel.name}` is Student's, which PEtab does not have")
+        if NOISES[noise.kind].density:
+            whose = NOISES[noise.kind].whose
+            raise NotCoveredError(f"the noise of `{channel.name}` is {whose}, which PEtab does not have")
         scale = sympy.Float(noise.scale) if noise.value is None else noise.value
         scale = scale.xreplace({PREDICTION: sympy.Symbol(self.name(channel), real=True)})
         if noise.kind == "normal":

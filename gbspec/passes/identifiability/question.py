@@ -73,7 +73,7 @@ class Question:
             s
             for c in self.model.channels
             if c.noise
-            for e in (c.noise.value, c.noise.freedom)
+            for e in (c.noise.value, c.noise.shape)
             if e is not None
             for s in e.free_symbols
         }

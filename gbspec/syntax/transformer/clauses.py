@@ -201,6 +201,8 @@ class ClauseRules(ExpressionRules):
             self.number_value(argument)
         return ast.Distribution(self.over(children), self.name_at(children[0]), arguments)
 
+    measured_noise = distribution
+
     def option(self, children: Children) -> ast.Option:
         return ast.Option(self.over(children), self.name_at(children[0]), self.number_value(children[-1]))
 

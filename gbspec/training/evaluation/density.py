@@ -6,8 +6,9 @@ With the prediction f and the variance v of a value y, it contributes
 
 and under lognormal noise the same of log y and log f, and log y for the density of y itself. The variance is that of
 the noise that the model states, or of the value's own column `sd_NAME`; where the noise is learned, both are added. An
-average of n values has the variance v/n. Under Student's noise v is the square of the scale. A limit, below or above
-which the measured value lies, contributes minus the logarithm of its probability.
+average of n values has the variance v/n. Noises with a density of their own have that in its place (under Student's v
+is the square of the scale). A limit, below or above which the measured value lies, contributes minus the logarithm of
+its probability.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import Model
-from gbspec.training.population import Measured, degrees_of_freedom, standard_deviation, student, student_noise
+from gbspec.training.population import Families, Measured, Rows, shape_parameter, standard_deviation
 
 LOG_2PI = float(np.log(2 * np.pi))
 
@@ -67,11 +68,12 @@ class Density:
         )
         normal = 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian + self._of_replicates(sd)
         normal = torch.where(side == 0, normal, -torch.special.log_ndtr(side * residual / sd))
-        of_channels = np.array([student_noise(c) for c in self.model.channels], dtype=np.bool_)
-        heavy = torch.from_numpy(of_channels[self.measured.channel])
-        if not bool(heavy.any()):
+        families = Families(self.model, self.measured.channel)
+        if not families:
             return normal
-        return torch.where(heavy, 0.5 * student.minus_two_log(residual, sd**2, self._freedom(constants)), normal)
+        number, shape = torch.from_numpy(self.measured.weight**2), self._shape(constants)
+        rows = Rows(mean, torch.from_numpy(value), sd**2, torch.zeros_like(sd), shape, number)
+        return families.put(normal, rows, lambda family, of: 0.5 * family.minus_two_log(of))
 
     def _of_replicates(self, sd: Tensor) -> Tensor:
         """What the deviations of replicates from their averages, of the standard deviation `sd`, contribute [m]."""
@@ -92,16 +94,15 @@ class Density:
         one = self.model.channels[channel]
         return one.noise is not None or one.name in self.noise
 
-    def _freedom(self, constants: Tensor) -> Tensor:
-        """The degrees of freedom [m] of values with Student's noise, 1 of others."""
+    def _shape(self, constants: Tensor) -> Tensor:
+        """The shapes [m] of noises with a density of their own, 1 of others."""
         out = torch.ones(len(constants), dtype=torch.float64)
-        for channel, one in enumerate(self.model.channels):
+        for channel in range(len(self.model.channels)):
             rows = torch.from_numpy(np.flatnonzero(self.measured.channel == channel))
-            if len(rows) and one.noise is not None and one.noise.freedom is not None:
-                table = constants[rows]
-                known = {k.symbol: table[:, i] for i, k in enumerate(self.model.learnables)}
-                found = degrees_of_freedom(self.model, one.noise.freedom, known, out[rows])
-                out = out.index_add(0, rows, found - 1)
+            table = constants[rows]
+            known = {k.symbol: table[:, i] for i, k in enumerate(self.model.learnables)}
+            found = shape_parameter(self.model, channel, known, out[rows])
+            out = out.index_add(0, rows, found - 1)
         return out
 
     def _variance(self, mean: Tensor, constants: Tensor) -> Tensor:

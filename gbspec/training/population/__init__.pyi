@@ -1,12 +1,12 @@
 from . import results as results
-from . import student as student
 from .discrepancies import examined as examined
+from .families import Families as Families
+from .family import Rows as Rows
 from .groups import Groups as Groups
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
-from .noise import degrees_of_freedom as degrees_of_freedom
+from .noise import shape_parameter as shape_parameter
 from .noise import standard_deviation as standard_deviation
-from .noise import student_noise as student_noise
 from .objective import Objective as Objective
 from .objective import Point as Point
 from .pooled import Pooled as Pooled

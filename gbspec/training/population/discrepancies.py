@@ -78,7 +78,8 @@ def _of_one(value: Array, simulated: Array) -> Array:
         return np.full(len(value), np.nan)
     own = np.linalg.solve(factor, value - mean)
     others = np.linalg.solve(factor, (found - mean).T)
-    below = (others < own[:, None]).mean(axis=1)
+    # Of equal values, as single counts may be, half lie below.
+    below = (others < own[:, None]).mean(axis=1) + (others == own[:, None]).mean(axis=1) / 2
     edge = 1 / (2 * len(found))
     return np.asarray(ndtri(np.clip(below, edge, 1 - edge)), dtype=np.float64)
 

@@ -28,10 +28,11 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import symbol
-from gbspec.training.population import student
+from gbspec.training.population.families import Families
+from gbspec.training.population.family import Rows
 from gbspec.training.population.groups import Groups
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.noise import LEAST, degrees_of_freedom, standard_deviation, student_noise
+from gbspec.training.population.noise import LEAST, shape_parameter, standard_deviation
 from gbspec.training.population.predictions import Predictions
 
 LOG_2PI = float(np.log(2 * np.pi))
@@ -62,8 +63,8 @@ class Compared:
     """Predictions compared with values [m]: on the logarithmic scale where the noise is lognormal.
 
     `mean`, `residual`, `variance`, its derivative by the mean `slope` (all [m]), and the sensitivities `by_z` [m, q].
-    Where the noise is Student's, `variance` is the square of its scale and `freedom` [m] its degrees of freedom
-    (elsewhere 1, without meaning).
+    Where the noise is Student's, `variance` is the square of its scale. `shape` [m] has the degrees of freedom of
+    Student's noise and the size of negative binomial counts (elsewhere 1, without meaning).
     """
 
     mean: Tensor
@@ -71,7 +72,7 @@ class Compared:
     variance: Tensor
     slope: Tensor
     by_z: Tensor
-    freedom: Tensor
+    shape: Tensor
 
 
 class Likelihood:
@@ -96,10 +97,9 @@ class Likelihood:
         ]
         self.side = torch.from_numpy(measured.side)
         self.limited = bool(measured.side.any())
-        heavy = np.array([student_noise(c) for c in layout.model.channels], dtype=np.bool_)[measured.channel]
-        self.heavy, self.outliers = torch.from_numpy(heavy), bool(heavy.any())
-        # Of n replicates n - 1 deviations from their average are independent of it. Student's have no such average.
-        more = np.where(heavy, 0.0, measured.more)
+        self.families = Families(layout.model, measured.channel)
+        # Of n replicates under normal noise n - 1 deviations from their average are independent of it.
+        more = np.where(self.families.mask, 0.0, measured.more)
         self.replicated, self.more = bool(more.any()), torch.from_numpy(more)
         self.scatter = torch.from_numpy(np.where(more > 0, measured.scatter, 0.0))
         # The density of a value whose logarithm is normal has the factor 1/value.
@@ -144,18 +144,19 @@ class Likelihood:
         if not mean.requires_grad:
             variance = variance.detach()
         rate = torch.zeros_like(mean) if rate is None else rate
-        return Compared(mean, mean - self.value, variance, rate, by_z, self.freedom(natural))
+        return Compared(mean, mean - self.value, variance, rate, by_z, self.shape(natural))
 
-    def freedom(self, natural: Tensor) -> Tensor:
-        """The degrees of freedom [m] of values with Student's noise, 1 of others."""
+    def shape(self, natural: Tensor) -> Tensor:
+        """The shapes [m] of noises with a density of their own, 1 of others."""
         out = torch.ones(len(self.value), dtype=torch.float64)
         for channel, rows in enumerate(self.channels):
-            noise = self.layout.model.channels[channel].noise
-            if len(rows) and noise is not None and noise.freedom is not None:
-                known = self._known(natural, rows)
-                found = degrees_of_freedom(self.layout.model, noise.freedom, known, out[rows])
-                out = out.index_add(0, rows, found - 1)
+            found = shape_parameter(self.layout.model, channel, self._known(natural, rows), out[rows])
+            out = out.index_add(0, rows, found - 1)
         return out
+
+    def seen(self, of: Compared) -> Rows:
+        """What is compared, for the families."""
+        return Rows(of.mean, self.value, of.variance, of.slope, of.shape, 1 / self.share)
 
     def _known(self, natural: Tensor, rows: Tensor) -> dict[sympy.Symbol, Tensor]:
         """The parameters by symbol, for each of these values."""
@@ -176,8 +177,7 @@ class Likelihood:
     def joint(self, of: Compared, z: Tensor) -> Tensor:
         """g [N]."""
         terms = LOG_2PI + torch.log(of.variance) + of.residual**2 / of.variance
-        if self.outliers:
-            terms = torch.where(self.heavy, student.minus_two_log(of.residual, of.variance, of.freedom), terms)
+        terms = self.families.put(terms, self.seen(of), lambda family, rows: family.minus_two_log(rows))
         if self.limited:
             place, _ = self._limit(of)
             terms = torch.where(self.side == 0, terms, -2 * torch.special.log_ndtr(place))
@@ -189,9 +189,7 @@ class Likelihood:
     def half_gradient(self, of: Compared, z: Tensor) -> Tensor:
         """The gradient of g/2 by z [N, q]."""
         by_mean = of.residual / of.variance + 0.5 * of.slope * (1 / of.variance - of.residual**2 / of.variance**2)
-        if self.outliers:
-            other = student.by_mean(of.residual, of.variance, of.slope, of.freedom)
-            by_mean = torch.where(self.heavy, other, by_mean)
+        by_mean = self.families.put(by_mean, self.seen(of), lambda family, rows: family.by_mean(rows))
         if self.limited:
             place, by = self._limit(of)
             by_mean = torch.where(self.side == 0, by_mean, -_mills(place) * by)
@@ -203,8 +201,7 @@ class Likelihood:
     def expected_hessian(self, of: Compared) -> Tensor:
         """H [N, q, q]."""
         weight = 1 / of.variance + 0.5 * (of.slope / of.variance) ** 2
-        if self.outliers:
-            weight = torch.where(self.heavy, student.expected(of.variance, of.slope, of.freedom), weight)
+        weight = self.families.put(weight, self.seen(of), lambda family, rows: family.expected(rows))
         if self.limited:
             place, by = self._limit(of)
             ratio = _mills(place)

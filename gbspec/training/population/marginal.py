@@ -26,7 +26,6 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.training.population import student
 from gbspec.training.population.groups import alike
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared, Likelihood
@@ -231,26 +230,21 @@ class Marginal:
     def _noise_information(self, u: Array, of: Compared) -> tuple[Array, Array, Array]:
         """Variances [m] with their derivatives [m, P] at fixed predictions, and roots [m, P] of further information.
 
-        Student's noise is taken as the normal one with the same information of the mean and of the scale; what the
-        degrees of freedom tell beyond the scale is the further information.
+        A noise with a density of its own is taken as the normal one with the same information of the mean and of the
+        scale; what its shape tells beyond is the further information.
         """
         likelihood, mean = self.likelihood, of.mean.detach()
         variance = of.variance.numpy()
         slopes = self._by_parameters(u, lambda at: likelihood.variance(mean, self.layout.natural(at)))
-        if not likelihood.outliers:
-            return variance, slopes, np.zeros_like(slopes)
-        heavy, freedom = likelihood.heavy.numpy(), of.freedom.detach().numpy()
-        of_freedom = self._by_parameters(u, lambda at: likelihood.freedom(self.layout.natural(at)))
-        scale, own, between = student.of_scale_and_freedom(freedom)
-        same = student.equivalent(variance, freedom)
-        moved = 0.5 * slopes / variance[:, None] + (between / scale)[:, None] * of_freedom
-        relative = np.sqrt(2 * scale)[:, None] * moved
-        further = np.sqrt(np.maximum(own - between**2 / scale, 0.0))[:, None] * of_freedom
-        return (
-            np.where(heavy, same, variance),
-            np.where(heavy[:, None], same[:, None] * relative, slopes),
-            np.where(heavy[:, None], further, 0.0),
-        )
+        further = np.zeros_like(slopes)
+        if not likelihood.families:
+            return variance, slopes, further
+        of_shape = self._by_parameters(u, lambda at: likelihood.shape(self.layout.natural(at)))
+        variance, seen = variance.copy(), likelihood.seen(of).detached()
+        for family, rows in likelihood.families.each:
+            found = family.linearised(seen.at(rows), slopes[rows.numpy()], of_shape[rows.numpy()])
+            variance[rows], slopes[rows], further[rows] = found.variance, found.slopes, found.further
+        return variance, slopes, further
 
     def _by_parameters(self, u: Array, function: Callable[[Tensor], Tensor]) -> Array:
         """Derivatives [m, P] of values [m] of the trajectories' rows of u."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gbspec.diagnostics import Defect
-from gbspec.ir import PREDICTION, Channel, Expr, Model, Noise
+from gbspec.ir import PREDICTION, Expr, Model, Noise
 
 LEAST = 1e-150
 """Variances are at least this."""
@@ -63,17 +63,13 @@ def rule_for(noise: Noise) -> bool:
     return noise.value is None or not noise.value.atoms(sympy.Piecewise)
 
 
-def student_noise(channel: Channel) -> bool:
-    """Whether the noise of a channel is Student's."""
-    return channel.noise is not None and channel.noise.kind == "student"
-
-
-def degrees_of_freedom(
-    model: Model, expression: Expr, constants: Mapping[sympy.Symbol, Tensor], like: Tensor
-) -> Tensor:
-    """The degrees of freedom [m] of Student's noise."""
+def shape_parameter(model: Model, channel: int, constants: Mapping[sympy.Symbol, Tensor], like: Tensor) -> Tensor:
+    """The shape [m] of the noise of a channel, as the degrees of freedom of Student's; 1 where it has none."""
+    noise = model.channels[channel].noise
+    if noise is None or noise.shape is None:
+        return torch.ones_like(like)
     known = {c.symbol: like.new_tensor(c.value) for c in model.constants}
-    return evaluated(expression, {**known, **constants}, like).expand_as(like)
+    return evaluated(noise.shape, {**known, **constants}, like).expand_as(like)
 
 
 def standard_deviation(

@@ -17,7 +17,6 @@ import torch
 from gbspec.arrays import Array
 from gbspec.runs import NORMAL_90, Covariance
 from gbspec.training.optimise import tied_at_bounds
-from gbspec.training.population import student
 from gbspec.training.population.discrepancies import prediction_errors
 from gbspec.training.population.groups import Groups, alike
 from gbspec.training.population.layout import Layout
@@ -201,11 +200,11 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
         typical = likelihood.individual(natural, torch.zeros_like(torch.from_numpy(point.z)))[0].numpy()
     population = predictions.individuals.mean(typical, point.weights)
     unit, residual = likelihood.unit.numpy(), -of.residual.numpy()
-    heavy, freedom = likelihood.heavy.numpy(), of.freedom.numpy()
-    by_z, variance = of.by_z.numpy(), of.variance.numpy()
+    by_z, variance = of.by_z.numpy(), of.variance.numpy().copy()
     own = residual / np.sqrt(variance)
-    own[heavy] = student.normal_quantile(own[heavy], freedom[heavy])
-    variance = np.where(heavy, student.equivalent(variance, freedom), variance)
+    for family, some in likelihood.families.each:
+        seen = likelihood.seen(of).at(some)
+        own[some], variance[some] = family.normal_quantile(seen), family.equivalent(seen)
     weighted = np.full(len(unit), np.nan)
     known = np.flatnonzero(predictions.measured.side == 0)  # a limit has no residual
     for rows in alike(unit, known):
@@ -273,13 +272,14 @@ def simulate(objective: Objective, point: Point, seed: int) -> Array:
     count = max(20, min(REPLICATES, MOST // max(len(likelihood.value), 1)))
     natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     out, begin = np.full((count, len(likelihood.value)), np.nan), 0
-    freedom, heavy = likelihood.freedom(natural).numpy(), likelihood.heavy.numpy()
+    shape, number = likelihood.shape(natural).numpy(), 1 / likelihood.share.numpy()
     for together in likelihood.shares(count):
         numbers, errors = [], []
         for _ in range(together):
             numbers.append(rng.standard_normal((likelihood.count, likelihood.groups.size)))
             error = rng.standard_normal(len(likelihood.value))
-            error[heavy] = student.draw(freedom[heavy], rng)
+            for family, some in likelihood.families.each:
+                error[some] = family.numbers(shape[some], rng)
             errors.append(error)
         several = likelihood.copies(together)
         rows = natural.repeat(together, 1)
@@ -289,7 +289,10 @@ def simulate(objective: Objective, point: Point, seed: int) -> Array:
         of = several.compared(mean, mean.new_zeros((len(mean), layout.effects)), slope, rows)
         place = np.empty((together, len(likelihood.value)), dtype=np.int64)
         place[:, likelihood.predictions.order] = several.predictions.order.reshape(together, -1)
-        drawn = of.mean.numpy()[place] + np.sqrt(of.variance.numpy())[place] * np.array(errors)
+        middle, variance, error = of.mean.numpy()[place], of.variance.numpy()[place], np.array(errors)
+        drawn = middle + np.sqrt(variance) * error
+        for family, some in likelihood.families.each:
+            drawn[:, some] = family.drawn(error[:, some], middle[:, some], variance[:, some], number[some])
         out[begin : begin + together] = np.where(likelihood.logs.numpy(), np.exp(np.minimum(drawn, 700)), drawn)
         begin += together
     return out

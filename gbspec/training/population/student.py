@@ -20,6 +20,7 @@ from scipy.special import ndtri, polygamma, stdtr
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.population.family import Linearised, Rows
 
 
 def minus_two_log(residual: Tensor, variance: Tensor, freedom: Tensor) -> Tensor:
@@ -66,3 +67,46 @@ def normal_quantile(residual: Array, freedom: Array) -> Array:
 def draw(freedom: Array, random: np.random.Generator) -> Array:
     """Drawn residuals in units of the scale."""
     return np.asarray(random.standard_t(freedom), dtype=np.float64)
+
+
+class Student:
+    """The family (`family.Family`): an average of n values has the scale over the root of n, as an approximation."""
+
+    def minus_two_log(self, of: Rows) -> Tensor:
+        """Minus twice the logarithm of the density."""
+        return minus_two_log(of.residual, of.variance, of.shape)
+
+    def by_mean(self, of: Rows) -> Tensor:
+        """The derivative of half of it by the mean."""
+        return by_mean(of.residual, of.variance, of.slope, of.shape)
+
+    def expected(self, of: Rows) -> Tensor:
+        """The expected information of the mean."""
+        return expected(of.variance, of.slope, of.shape)
+
+    def equivalent(self, of: Rows) -> Array:
+        """The variance of a normal noise with the same information of the mean."""
+        return equivalent(of.variance.numpy(), of.shape.numpy())
+
+    def linearised(self, of: Rows, slopes: Array, of_shape: Array) -> Linearised:
+        """The normal noise with the same information of the mean and of the scale; what the degrees of freedom tell
+        beyond the scale is the further information."""
+        variance, freedom = of.variance.numpy(), of.shape.numpy()
+        scale, own, between = of_scale_and_freedom(freedom)
+        same = equivalent(variance, freedom)
+        moved = 0.5 * slopes / variance[:, None] + (between / scale)[:, None] * of_shape
+        relative = np.sqrt(2 * scale)[:, None] * moved
+        further = np.sqrt(np.maximum(own - between**2 / scale, 0.0))[:, None] * of_shape
+        return Linearised(same, same[:, None] * relative, further)
+
+    def normal_quantile(self, of: Rows) -> Array:
+        """The standard normal numbers of the same probability as the values."""
+        return normal_quantile(-of.residual.numpy() / np.sqrt(of.variance.numpy()), of.shape.numpy())
+
+    def numbers(self, shape: Array, random: np.random.Generator) -> Array:
+        """Drawn residuals in units of the scale."""
+        return draw(shape, random)
+
+    def drawn(self, numbers: Array, mean: Array, variance: Array, number: Array) -> Array:
+        """Random values from these."""
+        return np.asarray(mean + np.sqrt(variance) * numbers, dtype=np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import Trajectories, unstated
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir import METHODS, Model, RosenbrockW
+from gbspec.ir import METHODS, Model, RosenbrockW, noise_form
 from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.optimise import InnovationsFit, Stage
 from gbspec.training.options import TrainOptions
@@ -45,7 +45,7 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
 
 def check_limits(model: Model, data: Trajectories) -> list[str]:
     """A remark for channels with limits whose noise is not known. Raises UserError for limits of a model with
-    disturbances (GB784), or under Student's noise (GB785)."""
+    disturbances (GB784), or under a noise with a density of its own (GB785)."""
     limited = np.zeros(len(model.channels), dtype=bool)
     for item in data.items:
         limited |= (item.censored.side != 0).any(axis=0)
@@ -55,8 +55,9 @@ def check_limits(model: Model, data: Trajectories) -> list[str]:
         help = "leave these cells empty, or leave out the diffusions"
         raise UserError([Diagnostic("GB784", message, None, help=help)])
     for i, channel in enumerate(model.channels):
-        if limited[i] and channel.noise is not None and channel.noise.kind == "student":
-            message = f"`{channel.name}` has censored values, which are not offered together with `noise student`"
+        form = noise_form(channel)
+        if limited[i] and form is not None and form.density:
+            message = f"`{channel.name}` has censored values, which are not offered together with `noise {form.kind}`"
             help = "write `noise normal(…)`, or leave these cells empty"
             raise UserError([Diagnostic("GB785", message, channel.span, help=help)])
     unknown = limited & unstated(model, data) & np.array([c.noise is None for c in model.channels], dtype=bool)

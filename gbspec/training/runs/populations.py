@@ -11,7 +11,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir import Model
+from gbspec.ir import NOISES, Model
 from gbspec.runs import Covariance, EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
 from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
 from gbspec.training.problem import Parameters
@@ -85,7 +85,7 @@ def with_population(
     errors = _errors(context, tables)
     made_result.vanished, infinite = _unbounded(context, found, tables)
     spreads = [*_vanished(objective, found), *_doubtful(objective, found)]
-    made_result.left += [*infinite, *said_of_errors(errors)]
+    made_result.left += [*infinite, *said_of_errors(errors, context.model)]
     made_result.tied += spreads
     return made_result, Described(
         replace(_record(context, found, objective), npde=errors),
@@ -102,7 +102,7 @@ def _one_sum_of_squares(model: Model) -> bool:
     if model.distributed or len(model.channels) != 1:
         return False
     noise = model.channels[0].noise
-    return noise is not None and noise.kind != "student" and noise.value is not None and noise.value.is_Symbol
+    return noise is not None and not NOISES[noise.kind].density and noise.value is not None and noise.value.is_Symbol
 
 
 def _vanished(objective: Objective, found: PopulationResult) -> list[str]:
@@ -140,6 +140,8 @@ def _unbounded(context: Context, found: PopulationResult, tables: PopulationTabl
         largest = float(sd.max(initial=0.0))
         exact = rows[sd < EXACTLY * largest]
         if not len(exact) or channel.noise is None or channel.noise.value is None:
+            continue
+        if NOISES[channel.noise.kind].counts:  # probabilities are at most 1
             continue
         symbols = {symbol.name for symbol in channel.noise.value.free_symbols} & set(found.estimates.names)
         gone = [name for name in sorted(symbols) if abs(_estimate(found, name)) < EXACTLY * largest]
@@ -207,17 +209,24 @@ def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecor
     return out
 
 
-def said_of_errors(errors: Mapping[str, ErrorsRecord]) -> list[str]:
+def said_of_errors(errors: Mapping[str, ErrorsRecord], model: Model) -> list[str]:
     """A warning for each channel whose values are not distributed as the model says."""
+    kinds = {channel.name: "" if channel.noise is None else channel.noise.kind for channel in model.channels}
+    other = {name: _OTHER.get(kinds.get(name, ""), _PROPORTIONAL) for name in errors}
     return [
         f"the values of `{name}` are not distributed as the model says: their prediction errors have the mean "
         f"{one.mean:.2g} and the variance {one.variance:.3g} (0 and 1 if it were right; p = {one.p:.1g}). See `gbspec "
-        "plot RUN prediction-errors` and `predictive-check`; what differs may be the noise (one part in proportion to "
-        "the value: `noise normal(sqrt(a^2 + (b*y)^2))`), a distribution, a known term, or the fit itself: compare "
-        "other seeds (`--seed`)"
+        f"plot RUN prediction-errors` and `predictive-check`; what differs may be the noise{other[name]}, a "
+        "distribution, a known term, or the fit itself: compare other seeds (`--seed`)"
         for name, one in errors.items()
         if one.p is not None and one.p < UNLIKE
     ]
+
+
+_PROPORTIONAL = " (one part in proportion to the value: `noise normal(sqrt(a^2 + (b*y)^2))`)"
+_WIDER = " (counts that vary more than Poisson's: `noise negative_binomial(k)` with `learn k = 10 in [0.1, 1e4]`)"
+_OTHER: Mapping[str, str] = {"poisson": _WIDER, "negative_binomial": ""}
+"""What noise may be written in place of one."""
 
 
 def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
