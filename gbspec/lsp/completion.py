@@ -74,8 +74,10 @@ def _next(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Cand
     if "NAME" in what.terminals:
         if "IF" in what.terminals:
             yield from _value(chain, before, what)
-        elif last in ("PRIOR", "NOISE"):
+        elif last == "PRIOR":
             yield from _words(words.DISTRIBUTIONS)
+        elif last == "NOISE":
+            yield from _words({**words.DISTRIBUTIONS, **words.NOISES})
         elif last == "BY":
             yield from _words(words.NETWORKS)
         elif _in_unit(what):

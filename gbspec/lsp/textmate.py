@@ -54,7 +54,7 @@ def _any(words: Iterable[str]) -> str:
 
 def _repository() -> dict[str, Pattern]:
     """The rules, in the order in which an editor tries them."""
-    functions, types = _any(words.FUNCTIONS), _any([*words.NETWORKS, *words.DISTRIBUTIONS])
+    functions, types = _any(words.FUNCTIONS), _any([*words.NETWORKS, *words.DISTRIBUTIONS, *words.NOISES])
     state, operator = "variable.other.state.gb", "keyword.operator.gb"
     return {
         "comment": {"name": "comment.line.number-sign.gb", "match": "#.*$"},

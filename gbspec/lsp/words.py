@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gbspec.ir import NOISES
+from gbspec.ir import NOISES as FORMS
 from gbspec.syntax import ast
 
 STATEMENTS: dict[str, str] = {s.entry.word: s.entry.meaning for s in ast.STATEMENTS if s.entry.spelled}
@@ -21,7 +21,8 @@ CLAUSES: dict[str, str] = {
     "hold": "`outside hold`: beyond the points of a table the nearest value holds",
     "error": "`outside error`: beyond the points of a table there is no value",
     "prior": "prior knowledge about the constant: `normal(mean, sd)` or `lognormal(median, cv)`",
-    "noise": "the noise of a measurement: " + ", ".join(f"`{form.signature}`" for form in NOISES.values()),
+    "noise": "the noise of a measurement: " + ", ".join(f"`{form.signature}`" for form in FORMS.values()),
+    "poisson": "`noise poisson`: counts, with the prediction as their mean and their variance",
     "per": "`per trajectory`: each trajectory has its own value; `per trajectory ~ lognormal`: with a distribution",
     "trajectory": "`per trajectory`: each trajectory has its own value, with or without a distribution",
     "rate": "the rate of a process, or of a claim",
@@ -105,8 +106,10 @@ VALUES: dict[str, str] = {
 DISTRIBUTIONS: dict[str, str] = {
     "normal": "a normal distribution: `prior normal(mean, sd)`, `noise normal(sd)`",
     "lognormal": "a lognormal distribution: `prior lognormal(median, cv)`, `noise lognormal(cv)`",
+}
+
+NOISES: dict[str, str] = {
     "student": "Student's distribution, for measurements with outliers: `noise student(scale, df)`",
-    "poisson": "counts, with the prediction as their mean and their variance: `noise poisson`",
     "negative_binomial": "counts that vary more than Poisson's, with the variance f + f^2/k at the prediction f: "
     "`noise negative_binomial(k)`",
 }
@@ -123,5 +126,5 @@ def meaning(word: str) -> str:
     """The line on a word of the language from any of the tables; empty if there is none."""
     if word in FUNCTIONS:
         return FUNCTIONS[word][1]
-    tables = (STATEMENTS, CLAUSES, OPERATORS, VALUES, DISTRIBUTIONS, NETWORKS, OPTIONS)
+    tables = (STATEMENTS, CLAUSES, OPERATORS, VALUES, DISTRIBUTIONS, NOISES, NETWORKS, OPTIONS)
     return next((table[word] for table in tables if word in table), "")

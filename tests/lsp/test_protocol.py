@@ -146,7 +146,9 @@ def test_completion_knows_statements_clauses_names_and_words(editor: Editor, fil
     assert "nn" not in at_the_end("let r = 2*")
     assert {"u", "v", "nn"} <= at_the_end("unknown q(u, v) = u*")
     assert {"silu", "tanh"} <= at_the_end("unknown q(u) by mlp(3, activation=")
-    assert {"normal", "lognormal"} == at_the_end("observe y = X noise ")
+    assert {"normal", "lognormal"} == at_the_end("learn k = 1 prior ")
+    noises = {"normal", "lognormal", "student", "poisson", "negative_binomial"}
+    assert noises == at_the_end("observe y = X noise ")
     assert {"L", "h"} <= at_the_end("state S : ")
     assert at_the_end('state S "') == set()
 

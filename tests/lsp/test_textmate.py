@@ -96,7 +96,7 @@ def test_the_words_with_a_value_are_highlighted(word: str) -> None:
     assert (word, "constant.language.gb") in tokens(f"let a = 2*{word}")
 
 
-@pytest.mark.parametrize("word", [*words.NETWORKS, *words.DISTRIBUTIONS])
+@pytest.mark.parametrize("word", [*words.NETWORKS, *words.DISTRIBUTIONS, *words.NOISES])
 def test_networks_and_distributions_are_highlighted(word: str) -> None:
     assert (word, "support.type.gb") in tokens(f"    {word}(3)")
 

@@ -271,3 +271,24 @@ def test_simulated_counts_are_counts_and_predictions_cover_them(tmp_path: Path) 
     assert (lows >= 0).all()
     covered = found.errors()["y"].covered
     assert 0.87 < covered < 0.99
+
+
+NETWORK = """model network
+time t from 0
+state x in [0, 40]
+unknown f(x in [0, 40]) >= 0, zero at x = 0 by mlp(3)
+x' = -f
+initial x = 30
+observe y = 2*x noise poisson as "x"
+"""
+
+
+def test_a_network_is_learned_from_counts(tmp_path: Path) -> None:
+    """Its fit is nearly as probable as the true function."""
+    values = decay(tmp_path, None, 4)
+    model = model_of(NETWORK, tmp_path)
+    found = train(model, tables.read_data(tmp_path / "data.csv", model, Findings()), QUICK, tmp_path / "run").fit
+    assert found.population is not None
+    truth = -2 * poisson.logpmf(values, 60 * np.exp(-0.5 * TIMES)).sum()
+    assert found.population.minus2ll < truth + 2
+    assert found.population.ridge is not None
