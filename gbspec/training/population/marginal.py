@@ -206,6 +206,8 @@ class Marginal:
 
         rows = self.rows(u).clone().requires_grad_()
         table = self.layout.constants(self.layout.natural(rows), z)[0]
+        if not table.shape[1]:  # nothing is learned but functions
+            return np.zeros((len(by_constants), len(u)))
         # Constants of a trajectory depend on its own row alone.
         jacobian = np.stack([_grad(column.sum(), rows).numpy() for column in table.unbind(1)], 1)
         out = np.einsum("mk,mkp->mp", by_constants, jacobian[self.predictions.measured.owner])
@@ -287,7 +289,7 @@ def _information(owner: Integers, of: _Linearised, known: Integers) -> Array:
         inverse = np.linalg.inv(diagonal + f @ f.swapaxes(1, 2))
         a, left = of.mean[rows], np.diagonal(inverse, axis1=1, axis2=2) * of.variance[rows]
         total += np.einsum("nap,nab,nbq->pq", a, inverse, a, optimize=True)
-        more = (left[:, :, None] * of.further[rows]).reshape(-1, noise.shape[1])
+        more = (left[:, :, None] * of.further[rows]).reshape(rows.size, noise.shape[1])
         total[weights:, weights:] += more.T @ more
         scaled = [inverse @ _moved_variance(of, rows, p) for p in places]
         for i, p in enumerate(places):
