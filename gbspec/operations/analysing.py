@@ -146,11 +146,12 @@ def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box,
 
     _without_events(source, "bifurcate")
     _varied(source, *names)
-    if source.model.delays:
-        message = "the plane of two parameters is not offered for a model with delays"
+    subject = system(source)
+    if subject.delayed is not None:
+        message = "the plane of two parameters is not offered for a model with delayed states"
         help = "give one parameter: its steady states, their roots and Hopf points are computed"
         raise UserError([Diagnostic("GB769", message, None, help=help)])
-    return run(system(source), names, boxes)
+    return run(subject, names, boxes)
 
 
 def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram | None:

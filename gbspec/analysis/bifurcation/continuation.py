@@ -222,10 +222,15 @@ class SteadyCurve:
             self._add(found, "branch", self.curve.locate(a, length, bordered))
         if abs(after - before) >= 2:
             rank = min(before, after)
-            located = self.curve.locate(a, length, lambda point: float(self.eigenvalues(point.y)[rank].real))
-            if located is not None and abs(self.eigenvalues(located.y)[rank].imag) > 1e-7:
+            located = self.curve.locate(a, length, lambda point: float(self._eigenvalue(point, rank).real))
+            if located is not None and abs(self._eigenvalue(located, rank).imag) > 1e-7:
                 self._add(found, "hopf", located)
         return found
+
+    def _eigenvalue(self, point: CurvePoint, rank: int) -> complex:
+        """The eigenvalue of a rank; the last one where fewer characteristic roots are known."""
+        eigenvalues = self.eigenvalues(point.y)
+        return complex(eigenvalues[min(rank, len(eigenvalues) - 1)])
 
     @staticmethod
     def _add(found: list[tuple[Kind, CurvePoint]], kind: Kind, point: CurvePoint | None) -> None:

@@ -24,6 +24,12 @@ def _pairs(values: ComplexArray) -> list[list[float]]:
     return [[float(value.real), float(value.imag)] for value in values]
 
 
+def _padded(point: EigenPoint) -> list[complex | None]:
+    """The truth's eigenvalue beside each one; None where it has none, or fewer characteristic roots."""
+    true = [] if point.truth is None else [complex(value) for value in point.truth]
+    return [*true, *[None] * len(point.eigenvalues)][: len(point.eigenvalues)]
+
+
 def format_eigenvalue(value: complex) -> str:
     """An eigenvalue as text: `-0.5`, `0.12 + 2.3i`."""
     if value.imag == 0.0:
@@ -139,11 +145,11 @@ class Eigen(Tabled):
                 "mode": mode,
                 "real": float(value.real),
                 "imaginary": float(value.imag),
-                "true_real": None if point.truth is None else float(point.truth[mode].real),
-                "true_imaginary": None if point.truth is None else float(point.truth[mode].imag),
+                "true_real": None if true is None else float(true.real),
+                "true_imaginary": None if true is None else float(true.imag),
             }
             for number, point in enumerate(self.points)
-            for mode, value in enumerate(point.eigenvalues)
+            for mode, (value, true) in enumerate(zip(point.eigenvalues, _padded(point), strict=True))
         )
 
     def summary(self) -> str:
@@ -155,7 +161,8 @@ class Eigen(Tabled):
         """The modes that decay between two measurements at every point; none without data."""
         if self.interval is None or not self.points:
             return ()
-        rates = np.array([point.eigenvalues.real for point in self.points])
+        known = min(len(point.eigenvalues) for point in self.points)  # of characteristic roots, not as many everywhere
+        rates = np.array([point.eigenvalues.real[:known] for point in self.points])
         return tuple(
             FastMode(rank, float(column.min()), float(column.max()), self._states_of(rank))
             for rank, column in enumerate(rates.T)

@@ -250,9 +250,9 @@ def at_rest(instance: GeneratedModule, rhs: Casadi) -> Casadi:
     return ca.Function("rhs", [t, x, c, u, k], [rhs(t, x, c, ca.vertcat(u, late), k)])
 
 
-def linear_parts(instance: GeneratedModule, rhs: Casadi) -> Casadi:
+def linear_parts(instance: GeneratedModule, rhs: Casadi) -> Casadi | None:
     """casadi.Function (t, x, condition, inputs, constants) -> dx, the Jacobian by the state, those by the states of
-    each delay side by side, and the delays; all at rest."""
+    each delay side by side, and the delays; all at rest. Delays of inputs alone are left out; None if all are."""
     t, x, c, u, k = _arguments(rhs, len(instance.inputs))
     groups = [lag for _, lag in instance.equations.delays]
     late, held = ca.MX.sym("late", len(groups)), _late(instance, t, x, c, u, k)
@@ -261,11 +261,14 @@ def linear_parts(instance: GeneratedModule, rhs: Casadi) -> Casadi:
     chain = ca.jacobian(held, x)
     m = instance.arithmetic("casadi")
     lags = ca.vertcat(*instance.equations.lags(m, c, m.unpack(k)))
-    parts = [
-        ca.mtimes(by_late[:, mine], chain[mine, :])
-        for mine in ([i for i, g in enumerate(groups) if g == lag] for lag in range(lags.shape[0]))
-    ]
-    results: list[Casadi] = [ca.substitute(f, late, held), by_state, ca.horzcat(*parts), lags]
+    members = [[i for i, group in enumerate(groups) if group == lag] for lag in range(lags.shape[0])]
+    parts = [ca.mtimes(by_late[:, mine], chain[mine, :]) for mine in members]
+    of_states = [lag for lag, part in enumerate(parts) if part.nnz()]
+    if not of_states:
+        return None
+    late_parts, each = ca.horzcat(*(parts[lag] for lag in of_states)), ca.vertsplit(lags)
+    own_lags = ca.vertcat(*(each[lag] for lag in of_states))
+    results: list[Casadi] = [ca.substitute(f, late, held), by_state, late_parts, own_lags]
     return ca.Function("parts", [t, x, c, u, k], [ca.densify(one) for one in results])
 
 

@@ -346,7 +346,7 @@ class Evaluator:
 
     @cached_property
     def linear_parts(self) -> Casadi | None:
-        """What characteristic roots at rest are computed from (`delays.linear_parts`); None without delays."""
+        """What characteristic roots at rest are computed from (`delays.linear_parts`); None if no state is delayed."""
         return linear_parts(self.instance, self.rhs) if self.has_delays else None
 
     @cached_property

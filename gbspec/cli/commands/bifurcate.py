@@ -92,9 +92,9 @@ def _branches(
     from gbspec.operations import analysing, reporting
     from gbspec.report import save
 
-    if cycles and subjects[0].model.delays:
+    if cycles and analysing.system(subjects[0]).delayed is not None:
         help = "leave out `--cycles`: Hopf points have the period of the cycles that are born there"
-        message = "cycles of a model with delays are not followed"
+        message = "cycles of a model with delayed states are not followed"
         raise UserError([Diagnostic("GB769", message, None, help=help)])
     found = [analysing.bifurcate(subject, over, *ends, cycles=cycles, doublings=doublings) for subject in subjects]
     if to is not None:
