@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, assert_never
 
 from gbspec.data.names import cell_name, similar
@@ -46,6 +46,12 @@ class Quantity:
     """Whether its cells may be texts, which only tell trajectories apart."""
     word: str = ""
     """What is said of a dose, for the role `regimen`: one of `REGIMEN`."""
+    instead: str = ""
+    """The column that may stand in place of this one: the rate of infusion, in place of doses."""
+
+    def lacks(self, columns: Collection[str]) -> bool:
+        """Whether a table of these columns (or names of the long layout) lacks it."""
+        return self.required and self.column not in columns and (not self.instead or self.instead not in columns)
 
 
 def quantities(model: Model, require_channels: bool = True, regimens: bool = True) -> tuple[Quantity, ...]:
@@ -72,7 +78,8 @@ def quantities(model: Model, require_channels: bool = True, regimens: bool = Tru
         column = cell_name(signal.column or signal.name)
         found.append(Quantity("input", i, signal.name, column, signal.default is None, signal.range))
     for i, dose in enumerate(model.doses):
-        found.append(Quantity("dose", i, dose.state, f"dose_{cell_name(dose.state)}", True))
+        rate = next((q.column for q in found if dose.infusion and q.role == "input" and q.name == dose.infusion), "")
+        found.append(Quantity("dose", i, dose.state, f"dose_{cell_name(dose.state)}", True, instead=rate))
     if regimens:
         taken = {quantity.column for quantity in found} | {cell_name(model.time.name), TRAJECTORY}
         for i, dose in enumerate(model.doses):
@@ -89,6 +96,8 @@ class Layout:
     time: str
     trajectory: str | None
     columns: tuple[Quantity, ...]
+    remedies: Mapping[str, str] = field(default_factory=dict)
+    """For names that the model does not declare: what would declare them."""
 
 
 def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings: Findings) -> Layout | None:
@@ -107,15 +116,15 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
     trajectory = TRAJECTORY if TRAJECTORY in present and TRAJECTORY not in taken else None
     if long:
         spare = [name for name in sheet.names if name not in (time, trajectory, *LONG, "sd")]
-        _surplus(sheet, spare, (), findings)
-        return Layout(True, time, trajectory, wanted)
+        _surplus(sheet, spare, (), findings, {})
+        return Layout(True, time, trajectory, wanted, unread_infusions(model))
     columns = tuple(quantity for quantity in wanted if quantity.column in present)
-    absent = [quantity for quantity in wanted if quantity.required and quantity.column not in present]
+    absent = [quantity for quantity in wanted if quantity.lacks(present)]
     suggested: set[str] = set()
     for quantity in absent:
         suggested |= _missing(sheet, quantity.column, describe(quantity), spare, findings, _notes(quantity))
     optional = [q.column for q in wanted if not q.required and q.column not in present]
-    _surplus(sheet, [name for name in spare if name not in suggested], optional, findings)
+    _surplus(sheet, [name for name in spare if name not in suggested], optional, findings, unread_infusions(model))
     return Layout(False, time, trajectory, columns)
 
 
@@ -156,6 +165,8 @@ def describe(quantity: Quantity) -> str:
 def _notes(quantity: Quantity) -> tuple[str, ...]:
     if quantity.role == "channel":
         return ("its cells may be empty where it was not measured",)
+    if quantity.instead:
+        return (f"or give the rate of infusion over time, in a column `{quantity.instead}`",)
     return ()
 
 
@@ -182,8 +193,19 @@ def _missing(
     return {meant} if meant else set()
 
 
-def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findings: Findings) -> None:
-    """Warns of columns that the model does not declare."""
+def unread_infusions(model: Model) -> dict[str, str]:
+    """For columns that would give the rates of infusions if the model's doses could last: what declares them."""
+    return {
+        f"infusion_{cell_name(dose.state)}": f"`dose {dose.state} over 0` in the model declares it: doses that may last"
+        for dose in model.doses
+        if not dose.infusion
+    }
+
+
+def _surplus(
+    sheet: Sheet, names: Iterable[str], optional: Iterable[str], findings: Findings, remedies: Mapping[str, str]
+) -> None:
+    """Warns of columns that the model does not declare; `remedies` say of some what declares them."""
     given, known = list(names), list(optional)
     for rank, name in enumerate(given[:MOST_SURPLUS], start=1):
         meant = similar(name, known)
@@ -192,7 +214,7 @@ def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findin
             "GB711",
             f"column `{name}` is not used: the model declares nothing of that name",
             Cell(sheet.path, sheet.header, name),
-            help=f"is `{meant}` meant?" if meant else "",
+            help=remedies.get(name) or (f"is `{meant}` meant?" if meant else ""),
             notes=(f"and {further:,} more columns are not used",) if further > 0 else (),
             subject=name,
         )

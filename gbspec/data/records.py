@@ -232,7 +232,8 @@ def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
         here = np.flatnonzero((kind == index) & good & ~np.isnan(value))
         quantity = by_name.get(name)
         if quantity is None:
-            _unknown_name(sheet, name, int(sheet.rows[np.flatnonzero(kind == index)[0]]), by_name, findings)
+            row = int(sheet.rows[np.flatnonzero(kind == index)[0]])
+            _unknown_name(sheet, name, row, by_name, findings, layout.remedies.get(name, ""))
             continue
         here = here[np.argsort(key_of[here], kind="stable")]
         given = side[here] if side[here].any() else None
@@ -240,7 +241,7 @@ def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
         series[quantity] = Series(key_of[here], value[here], sheet.rows[here], sd[here], given)
     unread = [name for name in kinds if name not in by_name]
     for quantity in layout.columns:
-        if quantity.required and quantity.column not in kinds:
+        if quantity.lacks(kinds):
             _no_rows(sheet, quantity, similar(quantity.column, unread), findings)
     return Records(sheet.path, names, group[first], time[first], sheet.rows[first], series, layout.time)
 
@@ -279,13 +280,15 @@ def _names(sheet: Sheet) -> pl.Series:
     return texts.replace_strict(list(different), list(different.values()), return_dtype=pl.String)
 
 
-def _unknown_name(sheet: Sheet, name: str, row: int, known: dict[str, Quantity], findings: Findings) -> None:
+def _unknown_name(
+    sheet: Sheet, name: str, row: int, known: dict[str, Quantity], findings: Findings, remedy: str
+) -> None:
     meant = similar(name, known)
     findings.warning(
         "GB711",
         f"rows named `{name}` are not used: the model declares nothing of that name",
         Cell(sheet.path, row, "name"),
-        help=f"is `{meant}` meant?" if meant else "",
+        help=remedy or (f"is `{meant}` meant?" if meant else ""),
         subject=name,
     )
 

@@ -9,7 +9,7 @@ from gbspec.data import from_arrays, to_arrays
 from gbspec.data.fingerprints import fingerprint
 from gbspec.data.table import read_frame
 from gbspec.data.trajectories import RunIn, Trajectory
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Findings, UserError
 from gbspec.ir.model import Condition, Model, symbol
 from tests.data.hand_models import drip
 
@@ -88,3 +88,35 @@ def test_columns_that_a_model_declares_keep_their_meaning() -> None:
     model = drip(None, conditions=(Condition("rate_x"),))
     item = read(model, t=[0, 9], rate_x=[5, 5], dose_x=[10, None])
     assert item.condition.tolist() == [5] and item.doses[0].amounts.tolist() == [10]
+
+
+def test_a_rate_of_infusion_stands_in_place_of_doses() -> None:
+    model = drip()
+    item = read(model, t=[0, 1, 4, 9], infusion_x=[2.5, None, 0, None])
+    (rate,), (at_once,) = item.inputs, item.doses
+    assert rate.times.tolist() == [0, 4] and rate.values.tolist() == [2.5, 0]
+    assert not len(at_once.times)
+    long = {"t": [0, 4, 9], "name": ["infusion_x", "infusion_x", "x"], "value": [2.5, 0.0, 1.0]}
+    (item,) = read_frame(long, model, Findings()).items
+    assert item.inputs[0].values.tolist() == [2.5, 0]
+
+
+def test_without_either_column_both_are_named() -> None:
+    findings = Findings()
+    with pytest.raises(UserError) as raised:
+        read_frame({"t": [0, 1], "x": [1.0, 2.0]}, drip(), findings)
+    (error,) = raised.value.diagnostics
+    assert error.code == "GB710" and "`dose_x`" in error.message
+    assert "`infusion_x`" in str(error.notes)
+
+
+def test_a_rate_of_infusion_of_doses_at_once_says_what_declares_it() -> None:
+    model = drip(duration=None)
+    for table in (
+        {"t": [0, 1], "x": [None, 1.0], "dose_x": [1.0, None], "infusion_x": [2.0, 0.0]},
+        {"t": [0, 0, 1], "name": ["dose_x", "infusion_x", "x"], "value": [1.0, 2.0, 1.0]},
+    ):
+        findings = Findings()
+        read_frame(table, model, findings)
+        (warning,) = findings
+        assert warning.code == "GB711" and "`dose x over 0`" in warning.help
