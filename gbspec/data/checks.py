@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data.cells import OTHER_UNIT, SMALLEST
 from gbspec.data.columns import Quantity
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
 from gbspec.frames import counted
-from gbspec.ir import Model, Range
+from gbspec.ir import Model, Range, telling_at_start
 
 NOISE = 0.01
 """The share of a declared range by which noise may carry a measured value out of it without a warning."""
@@ -47,7 +47,8 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
     if measured:
         given = any(state.initial.kind in ("expression", "steady") for state in model.states)
         fixed = model.time.start is not None
-        _measured(table, np.full(len(start), -np.inf) if fixed else start if given else start + np.inf, findings)
+        known = np.full(len(start), -np.inf) if fixed else start if given else start + np.inf
+        _measured(table, known, _telling(table, model), findings)
 
 
 def _resolved(table: Records, findings: Findings) -> None:
@@ -261,9 +262,22 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
         )
 
 
-def _measured(table: Records, known: Array, findings: Findings) -> None:
+def _telling(table: Records, model: Model) -> Mask:
+    """Whether a measured time alone tells of the dynamics [trajectories]: rates or learned functions are measured, and
+    more channels than there are unknown initial values."""
+    cells = [(quantity, cells) for quantity, cells in table.series.items() if quantity.role == "channel"]
+    tells, free = telling_at_start(model), sum(not state.initial.known for state in model.states)
+    some, count = np.zeros(len(table.labels), dtype=bool), np.zeros(len(table.labels), dtype=np.int64)
+    for quantity, measured in cells:
+        groups = np.unique(table.group[measured.key])
+        count[groups] += 1
+        some[groups] |= tells[quantity.index]
+    return some & (count > free)
+
+
+def _measured(table: Records, known: Array, telling: Mask, findings: Findings) -> None:
     """Reports tables without measurements; warns of trajectories with fewer than two measured times, unless their one
-    time comes after that of a `known` start [trajectories], as where a dose is given first."""
+    time comes after that of a `known` start [trajectories], as where a dose is given first, or is `telling` itself."""
     channels = {quantity: cells for quantity, cells in table.series.items() if quantity.role == "channel"}
     hit = np.zeros(len(table.time), dtype=bool)
     for cells in channels.values():
@@ -284,7 +298,8 @@ def _measured(table: Records, known: Array, findings: Findings) -> None:
     _point_out(table, [int(g) for g in present if count[g] == 0], "GB728", findings)
     last = np.full(len(table.labels), -np.inf)
     np.maximum.at(last, table.group[hit], table.time[hit])
-    _point_out(table, [int(g) for g in present if count[g] == 1 and not last[g] > known[g]], "GB727", findings)
+    silent = [int(g) for g in present if count[g] == 1 and not (last[g] > known[g] or telling[g])]
+    _point_out(table, silent, "GB727", findings)
 
 
 def _point_out(table: Records, groups: list[int], code: str, findings: Findings) -> None:
@@ -300,7 +315,7 @@ def _point_out(table: Records, groups: list[int], code: str, findings: Findings)
         advice = "remove the rows, or fill in what was measured"
     else:
         message = f"{some} {names}: measured at only one time, which contains no information about the dynamics"
-        advice = "a trajectory needs two times, or a known start (`time t from 0`)"
+        advice = "a trajectory needs two times, or a known start before the only one (`time t from 0`)"
     findings.warning(code, message, Cell(table.path, row, None), help=advice)
 
 

@@ -31,6 +31,23 @@ def unknowns_in_equations(model: Model) -> bool:
     return any(residual.has(AppliedUndef) for residual in model.inlined([e.residual for e in model.constraints]))
 
 
+def telling_at_start(model: Model) -> tuple[bool, ...]:
+    """Whether each channel tells of what is learned where a trajectory starts, before anything has moved: it contains
+    a rate, a function or a constant that is learned, or a state whose initial value follows from such."""
+    learned = {item.symbol for item in model.learnables}
+
+    def tells(expression: Expr) -> bool:
+        return bool(expression.free_symbols & learned) or expression.has(AppliedUndef)
+
+    if any(tells(one) for one in model.inlined([equation.residual for equation in model.constraints])):
+        learned |= {item.symbol for item in model.algebraics}
+    for state in model.states:
+        value = state.initial.value
+        if state.initial.kind == "steady" or (value is not None and tells(value)):
+            learned.add(state.symbol)
+    return tuple(tells(value) for value in model.inlined([channel.value for channel in model.channels]))
+
+
 def named(model: Model) -> list[tuple[Expr, Expr]]:
     """The intermediates to display, as from `Model.equations`: those that no algebraic equation gives."""
     explicit = {symbol(name) for block in model.blocks if block.explicit for name in block.variables}

@@ -16,7 +16,7 @@ from gbspec.backends import INTERFACE, generate, load_module
 from gbspec.data import Trajectories, content_digest, scales_of, to_arrays
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import clear, finite, is_aside
-from gbspec.ir import AUTO, METHODS, Model
+from gbspec.ir import AUTO, METHODS, Model, telling_at_start
 from gbspec.runs import (
     DAMAGED,
     DataRecord,
@@ -117,7 +117,7 @@ class Fitting:
         options.check(findings)
         check_disturbed(model, options)
         self._remarks = [*check_limits(model, trajectories), *without_data(model, trajectories)]
-        _check_data(trajectories, findings)
+        _check_data(model, trajectories, findings)
         findings.raise_if_failed()
         module = load_module(model, METHODS[solver_of(options)])
         if options.scheduler is None:
@@ -205,12 +205,23 @@ class Fitting:
         return Run(self.path, self.model, self.record, tuple(sorted(self.results)))
 
 
-def _check_data(trajectories: Trajectories, findings: Findings) -> None:
+def _check_data(model: Model, trajectories: Trajectories, findings: Findings) -> None:
     if trajectories.measurements == 0:
         findings.error("GB856", "the data contain no measured value, so that nothing can be learned", None)
-    elif not any(np.any(item.times > item.start) for item in trajectories.items):
-        message = "no trajectory has a measurement after its start, so that the dynamics cannot be learned"
-        findings.error("GB856", message, None, help="add later rows, or state when trajectories start: `time t from 0`")
+        return
+    telling = np.array(telling_at_start(model))
+    if any(
+        np.any(item.times > item.start) or np.isfinite(item.values[:, telling]).any() for item in trajectories.items
+    ):
+        return
+    message = (
+        "no trajectory has a measurement after its start, and what is measured there contains neither a rate nor "
+        "anything else that is learned, so that the dynamics cannot be learned"
+    )
+    start = model.time.start
+    fixed = f"; the model lets trajectories start at {model.time.name} = {start:g}" if start is not None else ""
+    help = "add later rows, or state when trajectories start, before their first rows: `time t from 0`"
+    findings.error("GB856", message, None, help="add later rows" + fixed if fixed else help)
 
 
 def _record(model: Model, trajectories: Trajectories, options: TrainOptions, path: Path) -> FitRecord:
