@@ -46,6 +46,14 @@ def test_a_difference_has_status_3(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert call("urp_gb2", "-o", tmp_path / "x", "--as", "c", "--no-verify")[0] == 0
 
 
+def test_a_folder_is_said_to_be_one(tmp_path: Path) -> None:
+    status, _, said = call("urp_gb2", "-o", tmp_path / "reactor.c", "--as", "c", "--no-verify")
+    count = sum(one.is_file() and not one.name.startswith(".") for one in (tmp_path / "reactor.c").rglob("*"))
+    assert status == 0 and f"wrote the folder {tmp_path / 'reactor.c'} ({count} files): " in said
+    _, _, said = call("urp_gb2", "-o", tmp_path / "reactor.zip", "--as", "c", "--no-verify")
+    assert f"wrote {tmp_path / 'reactor.zip'}: " in said
+
+
 def test_wrong_forms_parts_and_models(tmp_path: Path) -> None:
     assert call("methanol", "-o", tmp_path / "x", "--as", "fmu4")[0] == 2
     status, _, said = call("methanol", "-o", tmp_path / "x", "--as", "c", "--part", "rhs")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -57,6 +58,7 @@ def run(
     """Export a learned model for other programs; networks are inside, gbspec and Python are not needed."""
     from gbspec.diagnostics import Findings
     from gbspec.exports import ExportOptions
+    from gbspec.frames import counted
     from gbspec.operations import models, tables
 
     findings = Findings()
@@ -67,5 +69,6 @@ def run(
     output.findings(findings)
     worst = max(made.checked.values(), default=None)
     checked = "" if worst is None else f"; it agrees with the generated module to {worst:.0e}"
-    output.say(f"wrote {to}: {made.size / 1000:.0f} kB{checked}")
+    place = f"the folder {to} ({counted(len(made.files), 'file')})" if Path(to).is_dir() else to
+    output.say(f"wrote {place}: {made.size / 1000:.0f} kB{checked}")
     output.document(made)
