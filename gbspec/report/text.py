@@ -224,7 +224,7 @@ def population_lines(run: Run) -> list[str]:
     rows = []
     for name, one in found.effects.items():
         between = f"{number(one.sd_interval[0])} to {number(one.sd_interval[1])}" if one.sd_interval else "-"
-        shrinkage = "-" if one.shrinkage is None else f"{100 * one.shrinkage:.0f} %"
+        shrinkage = "-" if one.shrinkage is None else f"{round(100 * one.shrinkage)} %"
         rows.append([name, one.distribution, number(one.median, 6), number(one.sd, 4), between, shrinkage])
     way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
     said = f"-2 log likelihood {found.minus2ll:.4f} ({way}), {found.parameters:.4g} parameters"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from gbspec.data import SimulateOptions, Trajectories, Trajectory
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import Model
 from gbspec.operations import models, tables
+from gbspec.report.text import population_lines
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Groups
 from tests.training.test_populations import DECAY, LEVEL, assert_slopes_of_constants, marginal_of, model_of
@@ -129,6 +131,9 @@ def test_a_fit_finds_both_spreads(tmp_path: Path) -> None:
     assert of_strains.sd == pytest.approx(np.sqrt(strain), rel=1e-3)
     assert of_strains.shrinkage is not None
     assert 0 < of_strains.shrinkage < 1
+    none = {name: replace(one, shrinkage=-1e-4) for name, one in found.effects.items()}
+    said = "\n".join(population_lines(replace(run, fit=replace(run.fit, population=replace(found, effects=none)))))
+    assert " 0 %" in said and "-0 %" not in said
     learned = models.learned(models.open_run(tmp_path / "run"))
     assert learned.individuals is not None
     assert learned.individuals.factor[0, 0] ** 2 == pytest.approx(of_subjects.sd**2 + of_strains.sd**2)
