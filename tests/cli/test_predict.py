@@ -184,6 +184,8 @@ def test_training_trajectories_are_recognised_among_rows_with_inputs_only(here: 
     result = call("predict", "run", "d.csv", "-o", "p.csv", "--json")
     made = json.loads(result.stdout)["trajectories"][0]
     assert (made["start"], made["rows"]["training"]) == ("learned", 16)
+    said = call("predict", "run", "d.csv", "-o", "p.csv", "--from-start").output
+    assert "`--from-start`" in said and "has no effect on 1 trajectory" in said and "the window has" not in said
 
 
 def test_a_validation_that_scores_nothing_fails(here: Path) -> None:

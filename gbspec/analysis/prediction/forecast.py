@@ -332,7 +332,8 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
         if labels:
             listed = ", ".join(f"`{label}`" for label in labels[:5]) + (", ..." if len(labels) > 5 else "")
             number, because = counted(len(labels), "trajectory"), why[origin][len(labels) > 1]
-            found.append(f"the window has no effect on {number} ({listed}): {because}")
+            given = "the window" if window > 1 else "a start at the first row (`--from-start`, or a window of one row)"
+            found.append(f"{given} has no effect on {number} ({listed}): {because}")
     return found
 
 
