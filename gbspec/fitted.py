@@ -177,6 +177,16 @@ class FittedRun(Tabled):
         table = tables.trained_on(self.run, data, Findings())
         return analysing.initial_states(models.learned(self.run, None, member), table)
 
+    def learned_starts(self, data: Data | None = None, *, member: int | None = None) -> pl.DataFrame:
+        """What solutions of the training trajectories begin with, one row for each: `trajectory`, `time`, the states,
+        and the constants that trajectories have of their own; in the model's units.
+
+        The table of the training is read again for the conditions and first values in it, unless `data` are given;
+        trajectories that were held out have no row.
+        """
+        table = tables.trained_on(self.run, data, Findings())
+        return analysing.learned_starts(models.learned(self.run, None, member), table)
+
     def plot(
         self,
         kind: str,

@@ -97,6 +97,26 @@ def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] |
 
 
 @packages()
+def learned_starts(source: Subject, data: Trajectories) -> pl.DataFrame:
+    """The initial states of a run's trajectories and their own constants, by the labels of the table."""
+    from gbspec.analysis import learned_positions, learned_start
+    from gbspec.frames import of_rows
+
+    evaluator, model = source.evaluator, source.model
+    known = None if source.run is None else source.run.fit.data
+    own = [i for i, name in enumerate(model.constant_names) if name in evaluator.instance.per_trajectory]
+    rows = []
+    for item, position in zip(data.items, learned_positions(evaluator.instance, data, known), strict=True):
+        if position is None:
+            continue
+        start = learned_start(evaluator, position, item)
+        states = {state.name: float(value) for state, value in zip(model.states, start.state, strict=True)}
+        constants = {model.constant_names[i]: float(start.constants[i]) for i in own}
+        rows.append({"trajectory": item.label, "time": float(item.start), **states, **constants})
+    return of_rows(rows)
+
+
+@packages()
 def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
