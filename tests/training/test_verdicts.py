@@ -31,7 +31,6 @@ from gbspec.training.runs.verdict import (
     autocorrelations,
     blown_up,
     innovations,
-    outlying,
     verdicts,
 )
 from gbspec.training.runs.warned import warnings_of
@@ -332,12 +331,3 @@ def test_members_in_different_minima_are_told() -> None:
 )
 def test_trajectories_that_blow_up_are_counted(labels: list[str], said: str) -> None:
     assert said in blown_up(labels)
-
-
-def test_one_outlier_is_no_several() -> None:
-    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
-    one, two = (
-        outlying({"x": ChannelRecord(0.9, 0.0, values=50, outliers=count)}, model, {"x": 0.1})[0] for count in (1, 2)
-    )
-    assert "1 of 50 residuals of `x` is far from all others, and leaves" in one and "leave this cell empty" in one
-    assert "2 of 50 residuals of `x` are far from all others, and leave" in two and "leave these cells empty" in two

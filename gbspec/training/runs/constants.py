@@ -16,7 +16,7 @@ from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import NARROW, Bijection, Bijections
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import lost
+from gbspec.training.runs.verdict import not_followed
 
 TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
@@ -203,7 +203,7 @@ def said_of_constants(
 ) -> list[str]:
     """What is said of constants that the data do not determine, or that `ended` at bounds; members that follow no data
     say nothing of them."""
-    astray = lost(results)
+    astray = _lost(results)
     unclear = undetermined(model, constants) if len(astray) < len(results) else []
     meant = [one for one in ended if one[1] not in results[one[0]].vanished]
     beside = {
@@ -277,3 +277,12 @@ def ended_at_bounds(
         f"member {member}: `{name}` ended at {where(member, name, bound)}; {meaning(member, bound)}"
         for member, name, bound in ended
     ]
+
+
+def _lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
+    """The members of which whole solutions follow no channel better than the best naive predictor."""
+    return frozenset(
+        member
+        for member, result in results.items()
+        if result.channels and all(not_followed(found) for found in result.channels.values())
+    )

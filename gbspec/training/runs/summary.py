@@ -35,10 +35,9 @@ from gbspec.training.recipe import (
     unstable_as_learned,
 )
 from gbspec.training.runs.moved_starts import moved_starts
+from gbspec.training.runs.outlying import Outlying, far_from_others, outlying_rows
 from gbspec.training.stages import StageName
 
-FAR, FEW, ENOUGH = 6.0, 0.05, 20
-"""Residuals beyond `FAR` robust deviations are far from all others, if they are at most `FEW` of at least `ENOUGH`."""
 REPLICATED = 3
 """So many degrees of freedom of replicates say how large the error of measurement is."""
 
@@ -87,6 +86,8 @@ class MemberResult:
     """Degrees of freedom of the residuals from which the noise was estimated; None where it was not, or not known."""
     tabled: dict[str, float] = field(default_factory=dict)
     """Of channels with values that have standard deviations in the table: how many times as large residuals are."""
+    outlying: dict[str, Outlying] = field(default_factory=dict)
+    """Where channels have residuals that are far from all others, and leave most of the sum of squares."""
     vanished: frozenset[str] = frozenset()
     """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
 
@@ -144,6 +145,7 @@ def summarise(
         scales=None if context.estimated is None else context.scaled(context.estimated),
         freedom=None if model.marginal else noise_of.freedom,
         tabled=_beside_tabled(noise_of, problem, model),
+        outlying=outlying_rows(model, problem, solution.mean, context.trajectories.items),
     )
 
 
@@ -231,18 +233,9 @@ def _channels(
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
             *autocorrelation_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
-            outliers=_outliers(residuals[rows, i]),
+            outliers=int(far_from_others(residuals[rows, i]).sum()) or None,
         )
     return out
-
-
-def _outliers(residuals: Array) -> int | None:
-    """The number of residuals beyond `FAR` robust deviations, if there are few and they leave most of the sum of
-    squares; None otherwise."""
-    far = np.abs(residuals) > FAR * _robust_deviation(residuals)
-    if len(residuals) < ENOUGH or not np.isfinite(residuals).all() or not 0 < far.sum() <= FEW * len(residuals):
-        return None
-    return int(far.sum()) if np.sum(residuals[far] ** 2) > 0.5 * np.sum(residuals**2) else None
 
 
 def _r2(problem: Problem, mean: Array, channel: int) -> float | None:

@@ -5,16 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
+from gbspec.runs import ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
-
-if TYPE_CHECKING:
-    from gbspec.training.runs.summary import MemberResult
 
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
@@ -100,15 +96,6 @@ def not_followed(found: ChannelRecord | None) -> bool:
     return found is not None and found.naive is not None and (found.r2 is None or found.r2 < found.naive)
 
 
-def lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
-    """The members of which whole solutions follow no channel better than the best naive predictor."""
-    return frozenset(
-        member
-        for member, result in results.items()
-        if result.channels and all(not_followed(found) for found in result.channels.values())
-    )
-
-
 def above_stated(
     noise: Mapping[str, float],
     model: Model,
@@ -145,39 +132,6 @@ _LACKS = "the model lacks something, or the noise is larger"
 _BAD_OR_LACKS = "the fit is in a bad minimum, or the model lacks something, or the noise is larger"
 _OTHER_MODEL = "`per trajectory` constants, another state, another model, or the noise that the data show"
 _OTHER_MINIMUM = "`--effort high`, `--members 5`, narrower bounds, ranges of unmeasured states, or another model"
-
-
-def outlying(channels: Mapping[str, ChannelRecord], model: Model | None, rmse: Mapping[str, float]) -> list[str]:
-    """A warning for each channel of which few residuals leave most of the sum of squares, with what to write."""
-    out = []
-    for channel in model.channels if model is not None and not model.marginal else ():
-        found = channels.get(channel.name)
-        if found is None or not found.outliers or found.r2 is None or 1 - found.r2 <= EXACT or not_followed(found):
-            continue
-        name, start = channel.name, _rounded(0.3 * rmse.get(channel.name, math.nan))
-        # Not offered together with events and delays.
-        student = (
-            ""
-            if model is None or model.events or model.delays
-            else (f", or write `observe {name} … noise student(s_{name}, 4)` with `learn s_{name} = {start} > 0`")
-        )
-        one = found.outliers == 1
-        is_far = "is far from all others, and leaves" if one else "are far from all others, and leave"
-        what = "it is an outlier, or a row" if one else "they are outliers, or rows"
-        moves = "As an outlier it moves" if one else "As outliers they move"
-        out.append(
-            f"{found.outliers} of {found.values} residuals of `{name}` {is_far} most of the sum of squares: {what} "
-            f"that the model does not follow. {moves} the fit and widen{'s' if one else ''} its intervals: leave "
-            f"{'this cell' if one else 'these cells'} empty{student}"
-            + ("" if model is None or model.networks else _UNFOLLOWED)
-        )
-    return out
-
-
-_UNFOLLOWED = (
-    ". Rows around a fast change that is predicted too early or too late say that the fit is in another minimum, or "
-    "its steps are too long: `--effort high`, narrower bounds, `--solver ros34pw2`"
-)
 
 
 def widening(channels: Mapping[str, ChannelRecord]) -> float:
@@ -289,7 +243,7 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
     for index, channel in measured.items():
         state = model.states[index]
         unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
-        start = _rounded(rmse.get(channel, 0.0))
+        start = rounded(rmse.get(channel, 0.0))
         lines.append(f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = s_{state.name}`")
         starts.append(start)
     names = [f"`{model.states[index].name}`" for index in measured]
@@ -299,7 +253,7 @@ def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> 
     return f". To describe disturbances of {names[0]}, add the lines {lines[0]}; likewise for {others}"
 
 
-def _rounded(size: float) -> str:
+def rounded(size: float) -> str:
     """A start of this size, as one writes it: 0.3, 10."""
     return f"{float(f'{size:.1g}'):g}" if math.isfinite(size) and size > 0 else "0.1"
 

@@ -9,6 +9,7 @@ from gbspec.runs import last_search
 from gbspec.training.options import TrainOptions
 from gbspec.training.runs import verdict
 from gbspec.training.runs.minima import found_once, said_of_minima
+from gbspec.training.runs.outlying import said_of_outlying
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.stages import most_iterations
 
@@ -36,7 +37,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
 
 def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | None) -> list[str]:
     """What is said of outliers and autocorrelated residuals, also of a fit without intervals, since it did not rest."""
-    far = verdict.outlying(result.channels, model, result.rmse)
+    far = said_of_outlying(result.channels, result.outlying, model, result.rmse)
     if result.likelihood is not None:
         return [*far, *verdict.innovations(result.channels or {}, result.likelihood)]
     own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
