@@ -160,6 +160,26 @@ def test_innovations_that_are_not_independent_are_told(p: float | None, said: bo
     assert len(found) == said and all("`d' = -d/tau`" in text for text in found)
 
 
+@pytest.mark.parametrize(
+    ("disturbance", "said"),
+    [
+        ("d' = -d/tau", "`d` is a disturbance with a memory already. What may help: one of second order (`state d2_ ="),
+        ("d' = 0", "`d` is a disturbance with a memory already"),
+        ("d' = -d/tau + u", "a disturbance with a memory (`state d = 0`"),
+    ],
+)
+def test_a_model_is_not_advised_to_add_the_disturbance_that_it_has(disturbance: str, said: str) -> None:
+    model = model_of(
+        "model m\ninput u held\nstate x = 0\nstate d = 0\nlearn d2 = 1 > 0\nlearn tau = 1 > 0\n"
+        f"x' = d2*u - x\n{disturbance}\ndiffusion d = 0.1\nobserve y = x + d\n"
+    )
+    white = WhitenessRecord(336, 20, 100.0, 1e-30, 0.1, 0.1, 1e-9)
+    likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {}, {"y": white})
+    (text,) = innovations({"y": ChannelRecord(0.9, 0.0)}, likelihood, model)
+    assert said in text
+    assert ("`+ d2_` in the balance of `d`), a dead time of an input" in text) == ("already" in said)
+
+
 def test_a_learned_noise_that_went_to_zero_is_told() -> None:
     likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {"x": NoiseRecord(2.4e-6, None, None)}, {})
     (said,) = innovations({}, likelihood)

@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from sympy.core.function import AppliedUndef
+
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model
 from gbspec.passes import by_one_trajectory, examine
@@ -172,7 +174,9 @@ def autocorrelations(
     ]
 
 
-def innovations(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord) -> list[str]:
+def innovations(
+    channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord, model: Model | None = None
+) -> list[str]:
     """Warnings of a fit with disturbances: innovations that are not independent, and noises that ended at zero."""
     out, following = [], autocorrelated(channels)
     tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
@@ -182,8 +186,7 @@ def innovations(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRec
         out.append(
             f"the innovations of {listed} are not independent: what disturbs the system lasts longer than the time "
             "between two measurements, or the model lacks something. Intervals are too narrow then, and predictions "
-            "of many rows poor. What may help: a disturbance with a memory (`state d = 0`, `d' = -d/tau`, `diffusion "
-            "d = s_d`, `learn tau` and `s_d`, and `d` in the balance), another `diffusion`, or an unknown function"
+            f"of many rows poor. {_other_disturbances(model)}"
         )
     gone = [f"`{name}` ({one.value:.2g})" for name, one in likelihood.noise.items() if one.interval is None]
     if gone:
@@ -192,6 +195,48 @@ def innovations(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRec
             "disturbance. If the noise is known, state it: `noise normal(…)`"
         )
     return out
+
+
+def _other_disturbances(model: Model | None) -> str:
+    """What may help where innovations are not independent: not what the model has already."""
+    memory = remembering(model) if model is not None else []
+    if not memory or model is None:
+        return (
+            "What may help: a disturbance with a memory (`state d = 0`, `d' = -d/tau`, `diffusion d = s_d`, `learn "
+            "tau` and `s_d`, and `d` in the balance), another `diffusion`, or an unknown function"
+        )
+    name, new = memory[0], _new_name(model, f"{memory[0]}2")
+    delayed = "a dead time of an input (move its column by as many rows), " if model.inputs else ""
+    listed = ", ".join(f"`{one}`" for one in memory)
+    verb = "is a disturbance" if len(memory) == 1 else "are disturbances"
+    return (
+        f"{listed} {verb} with a memory already. What may help: one of second order (`state {new} = 0`, `{new}' = "
+        f"-{new}/tau_{new}`, `diffusion {new} = s_{new}`, `learn tau_{new}` and `s_{new}`, and `+ {new}` in the "
+        f"balance of `{name}`), {delayed}another state, or an unknown function"
+    )
+
+
+def remembering(model: Model) -> list[str]:
+    """The states that are disturbances with a memory, as in `d' = -d/tau`, `diffusion d = s`: not measured themselves,
+    with balances of themselves alone. Those of random walks (`d' = 0`) are too."""
+    moving = {model.time.symbol, *(one.symbol for one in (*model.states, *model.inputs, *model.intermediates))}
+    measured, disturbed = {channel.state for channel in model.channels}, {one.state for one in model.diffusions}
+    return [
+        state.name
+        for i, (state, rate) in enumerate(zip(model.states, model.balances, strict=True))
+        if state.name in disturbed
+        and i not in measured
+        and not rate.free_symbols & (moving - {state.symbol})
+        and not rate.atoms(AppliedUndef)
+    ]
+
+
+def _new_name(model: Model, name: str) -> str:
+    """The name with as many underscores as no quantity of the model has."""
+    taken = {one.name for one in (*model.states, *model.inputs, *model.intermediates, *model.conditions)}
+    while name in taken | set(model.constant_names):
+        name += "_"
+    return name
 
 
 def _rounded_p(value: float | None) -> str:
