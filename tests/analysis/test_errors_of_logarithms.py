@@ -57,8 +57,9 @@ def test_the_worst_row_is_the_worst_of_logarithms(fitted: tuple[Run, Trajectorie
     assert worst is not None
     assert worst.deviations == pytest.approx(abs(np.log(worst.predicted / worst.measured)) / np.log(values).std())
     ratio = max(worst.predicted / worst.measured, worst.measured / worst.predicted)
-    assert worst.of_noise == pytest.approx(np.log(ratio) / (fitted[0].fit.noise["x"] or 0.0))
-    assert f"{worst.of_noise:.2g} standard deviations of the noise" in str(worst)
+    assert (fitted[0].fit.noise["x"] or 0.0) < np.log1p(0.4**2) ** 0.5
+    assert worst.of_noise == pytest.approx(np.log(ratio) / np.log1p(0.4**2) ** 0.5)
+    assert f"{worst.of_noise:.2g} standard deviations of the stated noise" in str(worst)
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.analysis.validation.validate import validate
 from gbspec.data import Trajectories
+from gbspec.runs import ChannelRecord
 from gbspec.training import TrainOptions, train
-from gbspec.training.runs.verdict import above_stated
+from gbspec.training.runs.verdict import above_stated, below_stated
 from tests.training.conftest import model_of, trajectory
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -49,3 +51,40 @@ def test_noise_of_the_model_is_compared_after_that_of_the_table() -> None:
     assert "the model states" in text, "some values have none in the table"
     assert "3.5 times as large as the noise that the model states" in above_stated({"x": 0.7}, model, {})[0]
     assert not above_stated({}, model, {"x": float("nan")})
+
+
+def below(noise: float, values: int, freedom: float | None, **record: float) -> list[str]:
+    model = model_of(DECAY.format(noise=" noise normal(0.2)"))
+    found = ChannelRecord(**{"r2": 0.99, "naive": 0.0, "values": values, **record})  # type: ignore[arg-type]
+    return below_stated({"x": noise}, model, {"x": found}, freedom)
+
+
+def test_residuals_far_below_the_stated_noise_are_told_where_chance_does_not_make_them() -> None:
+    (text,) = below(0.02, 20, 18)
+    assert "`x` are only 0.1 times as large as the noise that the model states, normal(0.2)" in text
+    assert text.endswith("predictions have the noise of the residuals, 0.02")
+    assert not below(0.12, 2000, 1998), "not by half"
+    assert not below(0.08, 6, 4), "by chance"
+    assert not below(0.02, 20, None), "not known"
+    assert not below(1e-4, 20, 18, r2=1 - 1e-8), "exact data"
+    assert not below(0.02, 200, 180, autocorrelation=0.9, pairs=199), "what is left is no noise"
+
+
+@pytest.mark.parametrize(("noise", "said"), [("normal(0.005)", 0), ("normal(0.1)", 1), ("lognormal(0.3)", 1)])
+def test_the_worst_row_has_the_larger_noise(noise: str, said: int, tmp_path: Path) -> None:
+    x = np.exp(-TIMES) * (1 + 0.02 * np.random.default_rng(1).standard_normal(len(TIMES)))
+    data = Trajectories((trajectory("1", 0.0, TIMES, x[:, None], []),), ("x",))
+    run = train(
+        model_of(DECAY.format(noise=f" noise {noise}")), data, TrainOptions(workers=1, effort="low"), tmp_path / "run"
+    )
+    told = [text for text in run.fit.warnings if "times as large as the noise that the model states" in text]
+    assert len(told) == said and all("only" in text for text in told)
+    worst = validate(run, data).worst
+    assert worst is not None and worst.of_noise is not None and worst.stated == bool(said)
+    error = abs(worst.predicted - worst.measured)
+    if said:
+        logarithm = abs(np.log(worst.predicted / worst.measured)) / np.log1p(0.3**2) ** 0.5
+        assert worst.of_noise == pytest.approx(logarithm if "log" in noise else error / 0.1)
+        assert str(worst).endswith("standard deviations of the stated noise")
+    else:
+        assert worst.of_noise == pytest.approx(error / max(run.fit.noise["x"] or 0.0, 0.005))

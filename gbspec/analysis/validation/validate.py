@@ -75,7 +75,8 @@ class WorstRow:
     logarithms, where the noise is log-normal (`logarithms`).
 
     The text has the error in terms of the measurement: in its `unit`, or relative to it where logarithms are compared,
-    and in standard deviations of the noise (`of_noise`) where this is known.
+    and in standard deviations of the noise (`of_noise`) where this is known: of the larger one of that of the fit and
+    of the one that the model states as a number (`stated`).
     """
 
     trajectory: str
@@ -87,6 +88,7 @@ class WorstRow:
     logarithms: bool = field(default=False, metadata=OMITTED)
     of_noise: float | None = field(default=None, metadata=OMITTED)
     unit: str = field(default="", metadata=OMITTED)
+    stated: bool = field(default=False, metadata=OMITTED)
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
@@ -95,7 +97,8 @@ class WorstRow:
         if ratio > 0:
             larger = max(ratio, 1 / ratio)
             apart = f"{100 * abs(ratio - 1):.2g} %" if larger < 2 else f"a factor of {larger:.3g}"
-        noise = "" if self.of_noise is None else f", {self.of_noise:.2g} standard deviations of the noise"
+        which = "stated noise" if self.stated else "noise"
+        noise = "" if self.of_noise is None else f", {self.of_noise:.2g} standard deviations of the {which}"
         return (
             f"worst row: {self.channel} of trajectory `{self.trajectory}` at {self.time:.6g}: measured "
             f"{self.measured:.4g}{unit}, predicted {self.predicted:.4g}{unit}: {apart} apart{noise}"
@@ -300,6 +303,9 @@ def worst_row(run: Run, trajectories: Trajectories, predictions: Sequence[Predic
             continue
         row, column = np.unravel_index(int(np.nanargmax(off)), off.shape)
         if found is None or off[row, column] > found.deviations:
+            of_noise, stated = _of_noise(
+                run, item, one, (int(row), int(column)), float(off[row, column] * scales[column])
+            )
             found = WorstRow(
                 item.label,
                 float(item.times[row]),
@@ -308,23 +314,32 @@ def worst_row(run: Run, trajectories: Trajectories, predictions: Sequence[Predic
                 float(one.channels[row, column]),
                 float(off[row, column]),
                 bool(log[column]),
-                _of_noise(run, item, one, (int(row), int(column)), float(off[row, column] * scales[column])),
+                of_noise,
                 run.model.channels[int(column)].unit or "",
+                stated,
             )
     return found
 
 
-def _of_noise(run: Run, item: Trajectory, one: Prediction, place: tuple[int, int], error: float) -> float | None:
+def _of_noise(
+    run: Run, item: Trajectory, one: Prediction, place: tuple[int, int], error: float
+) -> tuple[float | None, bool]:
     """The error of a measurement, of its logarithm where the noise is log-normal, in standard deviations of its noise:
-    of the one that the table states, or of that of the fit; None where there is none."""
+    of the one that the table states, else of the larger one of those of the fit and of the model, and whether it is the
+    model's; None where there is none."""
     row, column = place
+    log, channel = bool(logarithmic(run.model)[column]), run.model.channels[column]
     value, size = (abs(float(each[place])) for each in (one.channels, item.values))
-    noise = noise_at(run, one.channels[row][None])[0, column] / np.sqrt(max(float(item.counts[place]), 1.0))
-    if np.isfinite(item.sd[place]):
+    average = np.sqrt(max(float(item.counts[place]), 1.0))
+    noise, own = noise_at(run, one.channels[row][None])[0, column] / average, np.isfinite(item.sd[place])
+    if own:
         value, noise = size, item.sd[place]
-    if bool(logarithmic(run.model)[column]):
+    if log:
         noise = noise / value if value > 0 else 0.0
-    return float(error / noise) if np.isfinite(noise) and noise > 0 else None
+    known = channel.noise.scale if channel.noise is not None and channel.noise.value is None and not own else 0.0
+    declared = (np.sqrt(np.log1p(known**2)) if log else known) / average
+    largest = float(max(noise, declared) if np.isfinite(noise) else declared)
+    return (float(error / largest) if largest > 0 else None), bool(declared > 0 and declared == largest)
 
 
 def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:

@@ -6,12 +6,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from scipy.special import chdtr
 from sympy.core.function import AppliedUndef
 
 from gbspec.diagnostics import Findings
-from gbspec.ir import Model
+from gbspec.ir import Channel, Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
+from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
 
 WORTHWHILE = 0.1
@@ -25,6 +26,13 @@ VISIBLE = 1e-4
 
 ABOVE = 2.0
 """Residuals that are this many times as large as the noise that the model or the table states are not that noise."""
+
+BY_CHANCE = 1e-3
+"""Residuals are smaller than the stated noise where chance makes them so small with a smaller probability."""
+
+OF_MEDIAN = 0.37
+"""The efficiency of the median absolute residual, by which the noise of fits from row to row is estimated: it has the
+variance of a standard deviation of so many of the values (Rousseeuw and Croux, 1993)."""
 
 COLOURED = 1e-3
 """Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
@@ -114,20 +122,66 @@ def above_stated(
     why, helps = (_LACKS, _OTHER_MODEL) if often else (_BAD_OR_LACKS, _OTHER_MINIMUM)
     out = []
     for channel in model.channels if not model.marginal else ():
-        name, stated = channel.name, channel.noise
-        compared = []
-        if tabled and name in tabled:
-            compared.append((tabled[name], f"the standard deviations that the table states (`sd_{name}`)"))
-        if stated is not None and stated.value is None and stated.scale > 0:  # of a log-normal one as a share
-            times = noise.get(name, math.nan) / stated.scale
-            compared.append((times, f"the noise that the model states, {stated.kind}({stated.scale:g})"))
         out += [
-            f"the residuals of `{name}` are {times:.2g} times as large as {what}: {why}; intervals do not hold then. "
-            f"What may help: {helps}"
-            for times, what in compared
+            f"the residuals of `{channel.name}` are {times:.2g} times as large as {what}: {why}; intervals do not hold "
+            f"then. What may help: {helps}"
+            for times, what in _beside_stated(channel, noise, tabled)
             if times > ABOVE
         ][:1]
     return out
+
+
+def _beside_stated(
+    channel: Channel, noise: Mapping[str, float], tabled: Mapping[str, float] | None
+) -> list[tuple[float, str]]:
+    """How many times as large as what table and model state the residuals of a channel are, and what that is."""
+    name, stated, compared = channel.name, channel.noise, []
+    if tabled and name in tabled:
+        compared.append((tabled[name], f"the standard deviations that the table states (`sd_{name}`)"))
+    if stated is not None and stated.value is None and stated.scale > 0:  # of a log-normal one as a share
+        times = noise.get(name, math.nan) / stated.scale
+        compared.append((times, f"the noise that the model states, {stated.kind}({stated.scale:g})"))
+    return compared
+
+
+def below_stated(
+    noise: Mapping[str, float],
+    model: Model,
+    channels: Mapping[str, ChannelRecord],
+    freedom: float | None,
+    tabled: Mapping[str, float] | None = None,
+) -> list[str]:
+    """A warning for each channel whose residuals are far smaller than the stated noise, by more than chance.
+
+    With the noise s stated, n times the squared ratio of the estimated to the stated standard deviation has the
+    chi-squared distribution of n degrees of freedom, here the channel's part of `freedom`; a median of residuals counts
+    like `OF_MEDIAN` of them. Nothing is said of exact data, and of residuals that are not those of measurements.
+    """
+    counted = sum(one.values or 0 for one in channels.values())
+    if model.marginal or model.diffusions or freedom is None or not counted:
+        return []
+    out, following = [], autocorrelated(channels)
+    for channel in model.channels:
+        name, found = channel.name, channels.get(channel.name)
+        if found is None or found.r2 is None or 1 - found.r2 <= EXACT or name in following:
+            continue
+        left = OF_MEDIAN * freedom * (found.values or 0) / counted
+        # Values with deviations of their own are compared with these: the number in the model is not theirs.
+        times, what = next(iter(_beside_stated(channel, noise, tabled)), (math.nan, ""))
+        if not 0 < times < 1 / ABOVE or chdtr(left, left * times**2) > BY_CHANCE:
+            continue
+        follows = ", or the learned functions follow the noise" if model.networks else ""
+        of_residuals = f"{100 * noise[name]:.2g} %" if _relative(channel) else f"{noise[name]:.2g}"
+        out.append(
+            f"the residuals of `{name}` are only {times:.2g} times as large as {what}: what is stated is too "
+            f"large{follows}. It decides what values weigh; intervals and predictions have the noise of the residuals, "
+            f"{of_residuals}"
+        )
+    return out
+
+
+def _relative(channel: Channel) -> bool:
+    return channel.noise is not None and channel.noise.kind == "lognormal"
 
 
 _LACKS = "the model lacks something, or the noise is larger"

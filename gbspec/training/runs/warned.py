@@ -30,6 +30,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
         left = [*verdict.lacking(result.channels), *_of_residuals(result, options, model)]
         if model is not None:
             left += verdict.above_stated(result.noise, model, result.tabled, last_search(result.stages))
+            left += verdict.below_stated(result.noise, model, result.channels, result.freedom, result.tabled)
         parts += [f"member {member}: {text}" for text in (*left, *result.beyond)]
         single += [f"member {member}: {text}" for text in result.tied]
     return [*whole, *said_of_minima(results), *found_once(results, options.effort, model), *parts, *single]
