@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array, Mask
 from gbspec.data.cells import OTHER_UNIT, SMALLEST
 from gbspec.data.columns import Quantity
+from gbspec.data.plausibility import check_plausibility, check_times, interval
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
 from gbspec.frames import counted
 from gbspec.ir import Model, Range, telling_at_start
-
-NOISE = 0.01
-"""The share of a declared range by which noise may carry a measured value out of it without a warning."""
 
 
 def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:
@@ -26,8 +24,9 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
     _resolved(table, findings)
     if model.time.start is not None:
         _after_start(table, model.time.start, findings)
+    check_times(table, model, findings)
     for quantity, cells in table.series.items():
-        _in_range(table, quantity, cells, findings)
+        check_plausibility(table, model, quantity, cells, findings)
         if quantity.positive:
             _positive(table, quantity, cells, findings)
         if quantity.counts:
@@ -88,32 +87,6 @@ def _after_start(table: Records, start: float, findings: Findings) -> None:
             help="change `from` in the model's `time` statement, or remove the row",
             notes=notes,
         )
-
-
-def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
-    """Warns once per column with values outside its declared range, measured ones by more than noise may be."""
-    bounds = quantity.range
-    if bounds is None:
-        return
-    noise = NOISE * (bounds.high - bounds.low) if quantity.role == "channel" and bounds.bounded else 0.0
-    known = np.ones(len(cells.value), dtype=np.bool_) if cells.side is None else cells.side == 0
-    outside = np.flatnonzero(known & ((cells.value < bounds.low - noise) | (cells.value > bounds.high + noise)))
-    if not len(outside):
-        return
-    first = outside[np.argmin(cells.row[outside])]
-    row, value, count = int(cells.row[first]), float(cells.value[first]), len(outside)
-    others = f" (so are {count - 1:,} more)" if count > 2 else " (so is one more)" if count == 2 else ""
-    findings.warning(
-        "GB725",
-        f"`{quantity.column}` is {value:g} in row {row}, outside its range {_interval(bounds)}{others}",
-        Cell(table.path, row, quantity.column),
-        help="widen the range in the model if such values are plausible",
-        subject=quantity.name,
-    )
-
-
-def _interval(bounds: Range) -> str:
-    return f"[{bounds.low:g}, {bounds.high:g}]"
 
 
 def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
@@ -347,7 +320,7 @@ class Beyond:
         verb = "lies" if self.count == 1 else "lie"
         return (
             f"`{self.name}`: {self.count} of {counted(self.known, 'value')} {verb} far outside of its range "
-            f"{_interval(self.bounds)}: {self._spread}"
+            f"{interval(self.bounds)}: {self._spread}"
         )
 
     @property
@@ -358,7 +331,7 @@ class Beyond:
     @property
     def brief(self) -> str:
         """The same in a list of several states."""
-        return f"`{self.name}` ({self._spread}, {self.count} of {self.known} values; range {_interval(self.bounds)})"
+        return f"`{self.name}` ({self._spread}, {self.count} of {self.known} values; range {interval(self.bounds)})"
 
 
 def far_outside(model: Model, values: Array) -> list[str]:
