@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -12,8 +13,16 @@ import pytest
 import gbspec
 from gbspec.runs import ChannelRecord, ConstantRecord
 from gbspec.training.problem import Bijection
-from gbspec.training.runs.constants import at_bounds, inside_bounds, said_of_constants, undetermined, unsettled
+from gbspec.training.runs.constants import (
+    at_bounds,
+    inside_bounds,
+    near_bounds,
+    said_of_constants,
+    undetermined,
+    unsettled,
+)
 from gbspec.training.runs.summary import MemberResult
+from tests.training.conftest import model_of
 
 TEXT = """\
 model m
@@ -27,7 +36,8 @@ observe x
 
 def member(channel: ChannelRecord, k: float) -> MemberResult:
     """What is asked of a member here."""
-    found = SimpleNamespace(tied=[], notes=[], vanished=frozenset(), channels={"x": channel}, constants={"k": k})
+    known = {"channels": {"x": channel}, "constants": {"k": k}, "sd": {"k": 1.0}}
+    found = SimpleNamespace(tied=[], notes=[], vanished=frozenset(), finished=True, **known)
     return cast(MemberResult, found)
 
 
@@ -277,3 +287,24 @@ def test_a_disturbance_is_tied_to_the_rate_at_its_bound_and_the_mean_is_not(tmp_
     (said,) = [text for text in fit.warnings if "`s`" in text]
     assert "the data tie its value to `theta`" in said
     assert not any("not determined" in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("declared", "value", "sd", "said"),
+    [
+        ("0.05 in [0.001, 2]", 0.00108, math.nan, True),
+        ("0.05 in [0.001, 2]", 0.0013, math.nan, False),
+        ("0.05 in [0.001, 2]", 0.00108, 1e-5, False),  # the standard deviation tells it from the bound
+        ("0.00101 in [0.001, 2]", 0.00108, math.nan, False),  # it began there
+        ("50 in [0, 100]", 0.5, math.nan, False),  # nothing special on a linear scale
+        ("50 in [0, 100]", 0.05, math.nan, True),
+    ],
+)
+def test_constants_near_their_bounds_in_fits_that_did_not_rest(
+    declared: str, value: float, sd: float, said: bool
+) -> None:
+    model = model_of(f"model m\nstate x = 1\nlearn k = {declared}\nx' = -k*x\nobserve x\n")
+    result = MemberResult(0, 0.1, 0.1, {}, {}, {}, {"k": value}, {"k": sd}, 1.0, [], np.ones((1, 1)), ["1"])
+    found = near_bounds(model, [], {0: result})
+    assert len(found) == said and all("`k` ended at" in text and "near its bound" in text for text in found)
+    assert not near_bounds(model, [(0, "k", 0.001)], {0: result}), "that is told"

@@ -2,6 +2,7 @@ from .arrivals import Integers as Integers
 from .autocorrelation import autocorrelation_of as autocorrelation_of
 from .autocorrelation import in_time as in_time
 from .autocorrelation import share_that_counts as share_that_counts
+from .bounds import CLOSE as CLOSE
 from .bounds import NARROW as NARROW
 from .bounds import STRETCH as STRETCH
 from .bounds import Bijection as Bijection

@@ -14,10 +14,14 @@ from gbspec.arrays import Array
 from gbspec.files import finite
 from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
-from gbspec.training.problem import NARROW, Bijection, Bijections
+from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import not_followed
 
+NEARBY, AWAY = 0.1, 10
+"""Without a standard deviation a constant is near a bound that it differs from by this part, where bounds are orders
+of magnitude apart (else at `CLOSE`: on a linear scale small values are nothing special), and to which it has come from
+a start so many times as far off."""
 TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
 NEGLIGIBLE = 0.3
@@ -212,7 +216,30 @@ def said_of_constants(
         if (name, bound) not in at_bounds(model, results[member].constants)
     }
     alone = [] if model.marginal else unsettled(constants, ended, results)
-    return [*unclear, *ended_at_bounds(meant, astray, beside), *alone]
+    near = [] if model.marginal or model.diffusions else near_bounds(model, ended, results)
+    return [*unclear, *ended_at_bounds(meant, astray, beside), *near, *alone]
+
+
+def near_bounds(
+    model: Model, ended: Sequence[tuple[int, str, float]], results: Mapping[int, MemberResult]
+) -> list[str]:
+    """A warning for each shared constant near a bound in a fit without standard deviations, which did not come to rest:
+    how near others may be depends on these alone (`Bijection.ended_at`)."""
+    told, out = {(member, name) for member, name, _ in ended}, []
+    for member, result in sorted(results.items()):
+        if not result.finished or np.isfinite(list(result.sd.values())).any():
+            continue
+        for k in model.learnables:
+            one, value = Bijection.of(k), result.constants.get(k.name)
+            if k.per_trajectory or value is None or not one.two_sided or (member, k.name) in told:
+                continue
+            out += [
+                f"member {member}: `{k.name}` ended at {value:.3g}, near its bound {bound:g}, in a fit that has not "
+                "come to rest: it may have been on its way there. Widen the bounds if values beyond it are plausible"
+                for bound in (k.range.low, k.range.high)
+                if _beside(one, value, bound) and one.distance(k.start, bound) > AWAY * one.distance(value, bound)
+            ]
+    return out
 
 
 def unsettled(
@@ -236,6 +263,10 @@ def unsettled(
         "goes on; a prior, a contract or a value (`const`) says what the data do not",
         *own,
     ]
+
+
+def _beside(one: Bijection, value: float, bound: float) -> bool:
+    return abs(value - bound) < NEARBY * abs(bound) if one.logarithmic else one.distance(value, bound) < CLOSE
 
 
 def _unsettled_own(constants: Mapping[str, ConstantRecord]) -> list[str]:
