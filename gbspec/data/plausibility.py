@@ -178,7 +178,8 @@ def _uses(model: Model, name: str) -> Iterator[_Use]:
     by_name = {unknown.name: unknown for unknown in model.unknowns}
     lets, channels = (one.value for one in model.intermediates), (one.value for one in model.channels)
     expressions = (*model.balances, *lets, *channels)
-    for applied in {found for expression in expressions for found in expression.atoms(AppliedUndef)}:
+    found = {call for expression in expressions for call in expression.atoms(AppliedUndef)}
+    for applied in sorted(found, key=str):
         unknown = by_name.get(applied.func.__name__)
         if unknown is None:
             continue
