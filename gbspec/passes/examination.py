@@ -17,8 +17,6 @@ class Examination:
 
     laws: tuple[Law, ...]
     identifiability: Identifiability
-    disturbed: bool = False
-    """Whether states have random disturbances, which the identifiability leaves out."""
 
 
 def examine(model: Model, findings: Findings) -> Examination:
@@ -28,4 +26,4 @@ def examine(model: Model, findings: Findings) -> Examination:
     laws = () if model.events else linear_laws(model)  # an event may change any of them; delayed values are like inputs
     disturbed = {one.state for one in model.diffusions}  # independent disturbances do not cancel
     laws = tuple(law for law in laws if not disturbed & {name for name, _ in law.coefficients})
-    return Examination(laws, identifiability(model, findings), bool(model.diffusions))
+    return Examination(laws, identifiability(model, findings))

@@ -137,8 +137,6 @@ def reasons(examination: Examination) -> list[str]:
     answer = examination.identifiability
     if answer.decided:
         return []
-    if examination.disturbed:
-        return [": what random disturbances show of them was not examined"]
     reached = [name for name in answer.doubtful if name not in answer.faint]
     what = "branches and values" if answer.branched else "values"
     told = [

@@ -65,7 +65,7 @@ class Question:
 
     @cached_property
     def _used(self) -> frozenset[sympy.Symbol]:
-        """What the solution and its measurements depend on, and all that no noise and no spread depends on.
+        """What the solution and its measurements depend on, and all that no noise, disturbance or spread depends on.
 
         The analysis does not reach noises and distributions: what only these contain is undecided.
         """
@@ -77,6 +77,7 @@ class Question:
             if e is not None
             for s in e.free_symbols
         }
+        elsewhere |= {s for diffusion in self.model.diffusions for s in diffusion.value.free_symbols}
         for made in (k.distribution for k in self.model.distributed if k.distribution is not None):
             spreads = made.spread, *(level.spread for level in made.levels)
             elsewhere |= {symbol(name) for name in spreads if name}
@@ -172,6 +173,23 @@ def pose(model: Model, *, all_states: bool) -> Question:
     )
     whole = replace(model, conditions=(*model.conditions, *draws.values())) if draws else model
     return Question(whole, applications, tuple(opened[:n]), tuple(opened[n:m]), known, starts, doses)
+
+
+def pose_disturbed(model: Model) -> Question:
+    """The question with all states measured, where random disturbances lead them anywhere, with what such data show
+    besides: the starts that are expressions, and the sizes of the disturbances."""
+    everywhere, declared = pose(model, all_states=True), pose(model, all_states=False)
+    given = {s.symbol: e for s, e in zip(model.states, declared.starts, strict=True) if e is not None}
+    clock = {} if model.time.start is None else {model.time.symbol: sympy.Float(model.time.start)}
+    starts = []
+    for start in given.values():
+        value = start
+        while value.free_symbols & given.keys():  # a start by other starts
+            value = value.xreplace(given)
+        starts.append(value.xreplace(clock))
+    drawn = {k.symbol: _value(k, draw.symbol) for k, draw in _draws(model).items()}
+    sizes = [size.xreplace(drawn) for size in model.inlined([d.value for d in model.diffusions])]
+    return replace(everywhere, outputs=(*everywhere.outputs, *starts, *sizes))
 
 
 def _applications(

@@ -15,10 +15,10 @@ from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.directions import MOST_COLUMNS, ORDERS, Directions, absorbers, at_order, find
 from gbspec.passes.identifiability.generators import echelon
 from gbspec.passes.identifiability.jets import size
-from gbspec.passes.identifiability.question import Question, pose
+from gbspec.passes.identifiability.question import Question, pose, pose_disturbed
 from gbspec.passes.identifiability.series import Effort
 from gbspec.passes.identifiability.symmetry import Symmetry, keeps_zeros, symmetries, transformations
-from gbspec.passes.identifiability.undecided import Open, no_numbers, reason, unexamined
+from gbspec.passes.identifiability.undecided import Open, beside_unmeasured, no_numbers, reason, unexamined
 
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
 """Earlier warnings on a constant that explain why it cannot be learned: never used, used only in comparisons."""
@@ -78,17 +78,15 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
         return Identifiability(False, reason=told)
     effort = Effort(budget)
     try:
-        everything = find(pose(model, all_states=True), effort)
-        # What random disturbances of hidden states show is not examined: only what the drift alone cannot tell apart.
-        question = pose(model, all_states=bool(model.diffusions))
-        declared = find(question, effort) if not model.diffusions else everything
+        question = pose_disturbed(model) if model.diffusions else pose(model, all_states=False)
+        everything = find(question if model.diffusions else pose(model, all_states=True), effort)
+        declared = everything if model.diffusions else find(question, effort)
+        hidden = _disturbed(model, effort) if model.diffusions else ""
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
         return Identifiability(False, reason=no_numbers())
     if isinstance(declared, Open):
         return Identifiability(False, reason=reason(question, declared))
-    disturbing = {s.name for diffusion in model.diffusions for s in diffusion.value.free_symbols}
-    sets = [each for each in _sets(question, declared, everything) if not disturbing & set(each.names)]
-    sets += _free_states(question, effort)
+    sets = [*_sets(question, declared, everything), *_free_states(question, effort)]
     reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
@@ -97,7 +95,19 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
     faint = tuple(name for name in doubtful if name in declared.faint)
     branched = bool(Branches(question).atoms)
-    return Identifiability(not doubtful and not model.diffusions, tuple(sets), doubtful, faint, branched)
+    return Identifiability(not doubtful and not hidden, tuple(sets), doubtful, faint, branched, hidden)
+
+
+def _disturbed(model: Model, effort: Effort) -> str:
+    """Why a model with random disturbances is undecided: unmeasured states. Of these nothing but what all states would
+    not show either is certain, as the size of a disturbance may tell what the equations leave open."""
+    plain = pose(model, all_states=False)
+    if not plain.hidden:
+        return ""
+    found = find(plain, effort)
+    sets = [] if isinstance(found, Open) else [each.names for each in _sets(plain, found, None)]
+    clear = isinstance(found, Directions) and not found.doubtful.shape[1]
+    return beside_unmeasured([model.states[i].name for i in plain.hidden], sets, clear)
 
 
 def by_one_trajectory(model: Model, budget: float = BUDGET) -> tuple[Inseparable, ...]:

@@ -59,6 +59,19 @@ def no_numbers() -> str:
     return f": the expansion of its formulas has no finite numbers within the declared ranges{_AFTERWARDS}"
 
 
+def beside_unmeasured(hidden: Sequence[str], sets: Sequence[Sequence[str]], clear: bool) -> str:
+    """The reason of a model with random disturbances and unmeasured states; `sets` are those that the equations without
+    disturbances do not tell apart, `clear` whether that is all that these leave open."""
+    told = f": what random disturbances show beside {_list(hidden, 'and')}, which {'is' if len(hidden) == 1 else 'are'}"
+    told += " not measured, is not examined"
+    if sets:
+        groups = "; nor ".join(
+            f"{_list(names, 'and')} could not be {'told apart' if len(names) > 1 else 'learned'}" for names in sets
+        )
+        return f"{told}; without them {groups}{_AFTERWARDS}"
+    return f"{told}; without them the learned constants of the equations could be told apart" if clear else told
+
+
 def reason(question: Question, found: Open) -> str:
     """Why a question is open, in words."""
     told = "" if question.applications else "starts"
