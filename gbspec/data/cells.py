@@ -150,6 +150,16 @@ def _named(sheet: Sheet, name: str, expected: str, findings: Findings) -> bool:
     return True
 
 
+def pairs(sheet: Sheet, first: str, second: str) -> list[tuple[str, str]]:
+    """The different pairs of texts in two columns of labels, in the order in which they first occur; without those of
+    which one is empty, and none where a column cannot hold names."""
+    columns = [sheet.columns[name] for name in (first, second)]
+    if any(c.dtype.is_nested() or c.dtype in (pl.Binary, pl.Object) for c in columns):
+        return []
+    frame = pl.DataFrame({"first": _texts(columns[0]), "second": _texts(columns[1])}).unique(maintain_order=True)
+    return [(one, other) for one, other in frame.iter_rows() if one and other]
+
+
 def _texts(series: pl.Series) -> pl.Series:
     """A column as texts without surrounding blanks; whole numbers without a fraction."""
     if series.dtype.is_float():

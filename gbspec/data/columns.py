@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 Role = Literal["channel", "condition", "input", "dose", "sd", "regimen", "limit"]
 
 TRAJECTORY = "trajectory"
+SUBJECT = "subject"
 MOST_SURPLUS = 50
 """The columns that are not used and are reported one by one."""
 REGIMEN = ("dur", "rate", "ii", "addl", "ss")
@@ -114,8 +115,10 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
         _missing(sheet, model.time.name, "the time", spare, findings, ())
         return None
     trajectory = TRAJECTORY if TRAJECTORY in present and TRAJECTORY not in taken else None
+    told = {SUBJECT} if trajectory is not None and any(k.by_subject for k in model.learnables) else set[str]()
+    spare = [name for name in spare if name not in told]  # `subjects` says what there is to say
     if long:
-        spare = [name for name in sheet.names if name not in (time, trajectory, *LONG, "sd")]
+        spare = [name for name in sheet.names if name not in (time, trajectory, *LONG, "sd", *told)]
         _surplus(sheet, spare, (), findings, {})
         return Layout(True, time, trajectory, wanted, unread_infusions(model))
     columns = tuple(quantity for quantity in wanted if quantity.column in present)

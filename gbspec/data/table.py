@@ -23,6 +23,7 @@ from gbspec.data.nonmem import is_nonmem, nonmem_records
 from gbspec.data.records import Records, records
 from gbspec.data.regimens import Given, regimens, with_infusions
 from gbspec.data.sheet import Sheet, read_sheet
+from gbspec.data.subjects import warn_of_subjects
 from gbspec.data.trajectories import Limits, Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
@@ -86,6 +87,7 @@ def _recorded(
     layout = recognise(sheet, model, wanted, findings)
     if layout is None:
         raise UserError(tuple(findings))
+    warn_of_subjects(sheet, layout.trajectory, model, findings)
     return records(sheet, layout, findings), {"layout": "long" if layout.long else "wide"}
 
 

@@ -110,6 +110,7 @@ class Learnable(Declared):
     prior: Prior | None = None
     per_trajectory: bool = False
     distribution: Distribution | None = None
+    by_subject: bool = field(default=False, compare=False, repr=False)  # `per subject`, which means `per trajectory`
 
     @property
     def individual(self) -> Learnable:

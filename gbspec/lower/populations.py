@@ -9,7 +9,7 @@ from itertools import combinations
 
 from gbspec.ir import Distribution, Level, Noise, Spread
 from gbspec.ir import model as ir
-from gbspec.semantics import GROUPS, Checked
+from gbspec.semantics import GROUPS, SUBJECT, Checked
 from gbspec.syntax import ast
 
 SPREAD = 0.3
@@ -55,6 +55,7 @@ def effect(statement: ast.EffectStatement, description: str) -> ir.Learnable:
         0.0,
         per_trajectory=True,
         distribution=_standard(statement.per.column.value),
+        by_subject=statement.per.column.value == SUBJECT,
         description=description,
         span=statement.name.span,
     )

@@ -25,6 +25,7 @@ from gbspec.lower.infusions import infused, refuse_elements
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, time_of, unit_text
 from gbspec.semantics import (
+    SUBJECT,
     Checked,
     Term,
     default_start,
@@ -293,6 +294,7 @@ class _Lowering:
             self._prior(s.prior),
             s.per is not None,
             populations.distribution(s, self._checked),
+            any(grouping.column.value == SUBJECT for grouping in s.groupings),
             unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,

@@ -10,6 +10,7 @@ from .expressions import operands as operands
 from .expressions import walk as walk
 from .numbers import default_start as default_start
 from .populations import GROUPS as GROUPS
+from .populations import SUBJECT as SUBJECT
 from .processes import Term as Term
 from .sites import truth_parameters as truth_parameters
 from .tables import written_out as written_out

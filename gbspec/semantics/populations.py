@@ -16,7 +16,8 @@ from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
 KINDS = ("lognormal", "normal", "logitnormal")
 """The distributions of constants between trajectories."""
-GROUPS = frozenset({"trajectory", "subject"})
+SUBJECT = "subject"
+GROUPS = frozenset({"trajectory", SUBJECT})
 """Columns between whose values constants may differ; both mean a trajectory of the data."""
 
 
@@ -107,7 +108,10 @@ class _Checks:
         """Checks a further grouping against the first."""
         name = statement.name.text
         if {first.column.value, other.column.value} <= GROUPS:
-            self._grouping_error(other, "`per trajectory` and `per subject` mean the same", "keep one of the two")
+            column = "keep one of the two; for several trajectories of a subject, give their column another name"
+            kind = "lognormal" if first.spread is None else first.spread.kind.text
+            how = f"{column}, as `person`, and write `per trajectory ~ {kind} per person ~ {kind}`"
+            self._grouping_error(other, "`per trajectory` and `per subject` mean the same", how)
         elif first.spread is None or other.spread is None:
             self._grouping_error(
                 other,
