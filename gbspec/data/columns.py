@@ -25,6 +25,30 @@ REGIMEN = ("dur", "rate", "ii", "addl", "ss")
 rate it is given; the interval of its repetitions and their number; whether it is given in a steady state."""
 LONG = ("name", "value")
 """The columns by which the long layout is recognised."""
+LABELS = frozenset(
+    {
+        "run",
+        "runs",
+        "run_id",
+        "experiment",
+        "exp",
+        "trial",
+        "batch",
+        "id",
+        "series",
+        "traj",
+        "subject",
+        "patient",
+        "animal",
+        "sample",
+        "group",
+        "cell",
+        "test",
+        "cycle",
+        "replicate",
+    }
+)
+"""Names of columns, in lower case, that may tell experiments apart."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +149,8 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
     absent = [quantity for quantity in wanted if quantity.lacks(present)]
     suggested: set[str] = set()
     for quantity in absent:
-        suggested |= _missing(sheet, quantity.column, describe(quantity), spare, findings, _notes(quantity))
+        other = _instead(sheet, model, quantity, absent, spare)
+        suggested |= _missing(sheet, quantity.column, describe(quantity), spare, findings, _notes(quantity), other)
     optional = [q.column for q in wanted if not q.required and q.column not in present]
     _surplus(sheet, [name for name in spare if name not in suggested], optional, findings, unread_infusions(model))
     return Layout(False, time, trajectory, columns)
@@ -182,18 +207,56 @@ def _time(sheet: Sheet, model: Model, taken: set[str]) -> str | None:
 
 
 def _missing(
-    sheet: Sheet, column: str, what: str, spare: list[str], findings: Findings, notes: tuple[str, ...]
+    sheet: Sheet,
+    column: str,
+    what: str,
+    spare: list[str],
+    findings: Findings,
+    notes: tuple[str, ...],
+    other: tuple[str, str] | None = None,
 ) -> set[str]:
-    """Reports a missing column; returns the surplus column that probably replaces it."""
+    """Reports a missing column; returns the surplus column that probably replaces it: one of similar name, or the
+    `other` with what can be written."""
     meant = similar(column, spare)
+    if meant is None and other is not None:
+        meant, help = other
+    else:
+        help = f"rename the column `{meant}`" if meant else f"its columns are {_list(sheet.names)}"
     findings.error(
         "GB710",
         f"the table has no column `{column}` for {what}",
         Cell(sheet.path, sheet.header, column),
-        help=f"rename the column `{meant}`" if meant else f"its columns are {_list(sheet.names)}",
+        help=help,
         notes=notes,
     )
     return {meant} if meant else set()
+
+
+def _instead(
+    sheet: Sheet, model: Model, quantity: Quantity, absent: list[Quantity], spare: list[str]
+) -> tuple[str, str] | None:
+    """The only column of numbers that is not used, where one channel lacks its column, with what can be written."""
+    if quantity.role != "channel" or [other.role for other in absent].count("channel") > 1:
+        return None
+    likely = [name for name in spare if name.casefold() not in LABELS and _has_numbers(sheet, name)]
+    if len(likely) != 1:
+        return None
+    channel = model.channels[quantity.index]
+    measured = "…" if channel.state is None else model.states[channel.state].name
+    value = "" if measured == channel.name else f" = {measured}"
+    help = f'does `{likely[0]}` hold it? Write `observe {channel.name}{value} as "{likely[0]}"`, or rename the column'
+    return likely[0], help
+
+
+def _has_numbers(sheet: Sheet, name: str) -> bool:
+    """Whether a column has numbers, and no text besides that is longer than a sign of what is missing."""
+    column = sheet.columns[name]
+    if not column.dtype.is_numeric() and str(column.dtype) != "String":
+        return False
+    texts = column.cast(str).drop_nulls().str.strip_chars()
+    texts = texts.str.replace(",", ".") if sheet.decimal_comma else texts
+    values = texts.cast(float, strict=False)
+    return bool(values.is_not_null().any()) and bool((values.is_not_null() | (texts.str.len_chars() <= 4)).all())
 
 
 def unread_infusions(model: Model) -> dict[str, str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
 from gbspec.data.cells import categories, coded, labels, numbered, numbers
-from gbspec.data.columns import TRAJECTORY, Layout, Quantity, describe
+from gbspec.data.columns import LABELS, TRAJECTORY, Layout, Quantity, describe
 from gbspec.data.limits import Sides, measured, sides
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import SHOWN, Sheet, shown
@@ -58,32 +58,6 @@ class Records:
     series: dict[Quantity, Series]
     time_column: str
     starts: Array | None = None
-
-
-LABELS = frozenset(
-    {
-        "run",
-        "runs",
-        "run_id",
-        "experiment",
-        "exp",
-        "trial",
-        "batch",
-        "id",
-        "series",
-        "traj",
-        "subject",
-        "patient",
-        "animal",
-        "sample",
-        "group",
-        "cell",
-        "test",
-        "cycle",
-        "replicate",
-    }
-)
-"""Names of columns, in lower case, that may tell experiments apart."""
 
 
 def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
@@ -181,7 +155,8 @@ def _increasing(
         ("GB716", np.flatnonzero(same & (time[1:] == time[:-1]))),
         ("GB715", np.flatnonzero(same & (time[1:] < time[:-1]))),
     ):
-        for i, notes in shown(bad, "rows"):
+        most = 1 if code == "GB716" else SHOWN  # replicates occur everywhere, for one reason
+        for i, notes in shown(bad, "rows", most):
             here, before = float(time[i + 1]), float(time[i])
             where = f"in trajectory `{names[group[i]]}`" if len(names) > 1 else "in the table"
             twice = code == "GB716"

@@ -291,11 +291,14 @@ def _same_width(path: str, records: Lines, expected: int, findings: Findings) ->
     return not len(wrong)
 
 
-def shown(positions: Sequence[int] | NDArray[np.intp], what: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+def shown(
+    positions: Sequence[int] | NDArray[np.intp], what: str, most: int = SHOWN
+) -> Iterator[tuple[int, tuple[str, ...]]]:
     """The first positions, each with the notes of its diagnostic; the last one's note has the number of the others."""
-    for rank, position in enumerate(positions[:SHOWN], start=1):
-        further = len(positions) - SHOWN
-        yield int(position), (f"and {further:,} more such {what}",) if rank == SHOWN and further > 0 else ()
+    for rank, position in enumerate(positions[:most], start=1):
+        further = len(positions) - most
+        some = what.removesuffix("s") if further == 1 else what
+        yield int(position), (f"and {further:,} more such {some}",) if rank == most and further > 0 else ()
 
 
 def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:

@@ -27,7 +27,7 @@ def warn_of_subjects(sheet: Sheet, trajectory: str | None, model: Model, finding
         f"`per subject` means `per trajectory` and does not look at the column `{SUBJECT}`, in which `{subject}` has "
         f"{len(found)} trajectories ({names}){others}: they are taken for different subjects",
         Cell(sheet.path, sheet.header, SUBJECT),
-        help="rename the column, as `person`, and write `per person ~ lognormal`, with `per trajectory ~ lognormal` for "
-        "what also differs between the trajectories of a person; or write `per trajectory`, if that is meant",
+        help="rename the column, as `person`, and write `per person ~ lognormal`, with `per trajectory ~ lognormal` "
+        "for what also differs between the trajectories of a person; or write `per trajectory`, if that is meant",
         subject=SUBJECT,
     )

@@ -160,6 +160,31 @@ def test_times_that_go_back_without_a_column_of_trajectories(reading: Reader, co
     assert second.help == "sort the rows by time, or begin a new trajectory there"
 
 
+def test_replicates_in_a_wide_table_are_told_once(reading: Reader) -> None:
+    rows = "".join(f"1,{t},.5,1,.3\n" for t in range(4) for _ in range(3))
+    _, findings = reading(HEAD + rows)
+    (error,) = findings
+    assert error.code == "GB716" and error.notes == ("and 7 more such rows",)
+    _, findings = reading(HEAD + "1,0,.5,1,.3\n" * 3)
+    assert findings[0].notes == ("and 1 more such row",)
+
+
+@pytest.mark.parametrize(
+    ("text", "help"),
+    [
+        ("t,run,od600\n0,a,1\n1,a,2\n", 'Write `observe OD = V as "od600"`, or rename the column'),
+        ("t,run,od600,remark\n0,a,1,\n1,a,NA,stirred again\n", 'Write `observe OD = V as "od600"`'),
+        ("t,od600,temp\n0,1,20\n1,2,20\n", "its columns are `t`, `od600`, `temp`"),
+        ("t,remark\n0,none\n1,stirred\n", "its columns are `t`, `remark`"),
+    ],
+)
+def test_the_only_column_of_numbers_may_be_the_channel(reading: Reader, text: str, help: str) -> None:
+    one = tank(default=1.0)
+    _, findings = reading(text, replace(one, channels=(replace(one.channels[0], name="OD"),)))
+    assert findings[0].code == "GB710" and help in findings[0].help
+    assert not any(d.code == "GB711" and d.subject == "od600" for d in findings if "Write" in findings[0].help)
+
+
 def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
     _, findings = reading("t,x1,X2,Da\n0,.5,1,.3\n1,.5,1,.3\n")
     assert "`X2`" in findings[0].help
