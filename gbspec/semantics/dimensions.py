@@ -19,6 +19,7 @@ from gbspec.syntax import FUNCTIONS, Kind, ast, ungrouped
 _OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
 _SAME = frozenset({"abs", "mod", "min", "max"})
 _HALF = Fraction(1, 2)
+_ADDED = "are added or subtracted"
 
 NEEDS_UNIT = frozenset(
     {
@@ -136,7 +137,7 @@ class Units:
         net = sum(-1 if minus else 1 for (minus, _), scale in zip(parts, scales, strict=True) if scale)
         if any(scales) and net == 0:
             units = [namespace.difference(unit) for unit in resolved]
-        common = self.same([part for _, part in parts], units, "are added or subtracted")
+        common = self.same([part for _, part in parts], units, _ADDED)
         return resolved[scales.index(True)] if any(scales) and net else common
 
     def _converted(self, node: ast.Conversion, unit: Unit) -> Unit:
@@ -355,8 +356,21 @@ class Units:
             second.span,
             label=f"in `{b}`",
             labels=[Label(first.span, f"in `{a}`"), *self._origins(other, one)],
-            help=self._remedy(one, other, _excerpt(second)),
+            help=self._in_unit(first, one, second, other, how) or self._remedy(one, other, _excerpt(second)),
         )
+
+    def _in_unit(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> str:
+        """The help where a bare number is added to, or compared with, what has a unit: it may be in that unit.
+
+        A summand 1 is one of `1 - X/K`, where the unit of K is what is missing.
+        """
+        for node, mine, others in ((second, other, one), (first, one, other)):
+            unit, text = self.solution.known(others), _excerpt(node)
+            if self.solution.known(mine) != ONE or unit in (None, ONE) or not written_number(node):
+                continue
+            if how != _ADDED or text.lstrip("+-") not in ("1", "1.0"):
+                return f"give the number its unit: `({text} in {unit})`, or by a name: `const NAME : {unit} = {text}`"
+        return ""
 
     def _mismatch(self, what: str, at: Span, wanted: Unit, node: ast.Expression, unit: Unit) -> None:
         a, b = self.solution.shown(wanted), self.solution.shown(unit)

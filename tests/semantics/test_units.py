@@ -147,6 +147,26 @@ def test_a_name_is_not_both_undetermined_and_in_mixed_units(name: str) -> None:
     assert [(d.code, d.subject) for d in findings] == [("GB550", "soc"), ("GB551", name)]
 
 
+@pytest.mark.parametrize(
+    ("condition", "help"),
+    [
+        ("t > 69", "`(69 in day)`, or by a name: `const NAME : day = 69`"),
+        ("-1.5 < t", "`(-1.5 in day)`, or by a name: `const NAME : day = -1.5`"),
+        ("t - 2 > (69 in day)", "`(2 in day)`"),
+        ("mod(t, 7) < (2 in day)", "`(7 in day)`"),
+        ("1 + t/3 < t", "a factor with the unit `1/day` is missing"),
+    ],
+)
+def test_a_bare_number_beside_a_unit_gets_the_unit(condition: str, help: str) -> None:
+    text = "model m\ntime t : day\nstate y : g\nlearn b : 1/day = 1\ny' = if({}, -b*y, 0)\nobserve y\n"
+    _, (error, *_) = checked(text.format(condition))
+    assert error.code == "GB502" and help in error.help
+    if "in day)`" in help:
+        number = help.split("`")[1]
+        bare = number[1:].split(" ")[0]
+        assert codes(text.format(condition.replace(bare, number, 1))) == []
+
+
 def test_user_units_have_a_separate_namespace() -> None:
     text = "model m\ntime h : s\nunit h\nstate g : h\nconst s : h/s = 1\ng' = -s\nobserve g\n"
     assert codes(text) == []
