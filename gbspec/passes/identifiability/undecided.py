@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from gbspec.ir import Model, in_language
+from gbspec.ir import Expr, Model, in_language
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.terms import larger_than
 
@@ -120,12 +120,21 @@ def _differing(question: Question) -> str:
 
 def _remedies(question: Question) -> str:
     """What makes a question smaller, or its answer show earlier."""
-    hidden = [question.model.states[i].name for i in question.hidden]
+    seen = {part for e in question.outputs for part in _alone(question, e)}
+    hidden = [question.model.states[i].name for i in question.hidden if i not in seen]
     several = [a.unknown for a in question.applications if len(a.arguments) > 1]
     ways = [f"observe {_list(hidden, 'or')}"] if hidden else []
     if several:
         ways.append(f"leave an argument out of {_list(list(dict.fromkeys(several)), 'or')}")
     return " or to ".join(ways)
+
+
+def _alone(question: Question, output: Expr) -> set[int]:
+    """The only state that a measured expression such as `log10(V)` depends on, without anything to be learned: it is
+    as good as measured."""
+    symbols = output.free_symbols - {constant.symbol for constant in question.model.constants}
+    found = {i for i, state in enumerate(question.model.states) if state.symbol in symbols}
+    return found if len(found) == len(symbols) == 1 else set()
 
 
 def _list(names: Sequence[str], word: str) -> str:
