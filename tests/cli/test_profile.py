@@ -198,3 +198,23 @@ def test_a_profile_of_other_weights_is_not_shown(place: Path, here: Path) -> Non
     assert open_run("run").profiled("b") is None
     path.write_text("{")
     assert open_run("run").profiled("b") is None
+
+
+def test_a_profile_with_a_flat_bottom_has_points_near_its_ends(here: Path) -> None:
+    """Two rates that may be exchanged are fitted as equal: the deviance rises with the fourth power of their distance,
+    and its curvature says nothing."""
+    text = (
+        'model bate "Two rates in turn"\ntime t from 0\nstate A in [0, 10]\nstate G in [0, 10] = 0\n'
+        "learn ka = 0.3 in [0.02, 3]\nlearn ke = 0.3 in [0.02, 3]\nlearn A0 = 5 in [0.5, 50]\ninitial A = A0\n"
+        "A' = -ka*A\nG' = ka*A - ke*G\nobserve G\n"
+    )
+    Path("bate.gb").write_text(text)
+    rng = np.random.default_rng(3)
+    t = np.arange(1.0, 25.0)
+    values = 1.5 / 0.12 * np.sin(0.12 * t) * np.exp(-0.3 * t) + 0.1 * rng.standard_normal(len(t))
+    Path("bate.csv").write_text("t,G\n" + "".join(f"{a},{b}\n" for a, b in zip(t, values, strict=True)))
+    assert call("train", "bate.gb", "bate.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    found = json.loads(call("profile", "run", "ka", "--json").stdout)
+    roots = [math.sqrt(point["deviance"] / found["threshold"]) for point in found["points"]]
+    for inner, outer in ((1, 0), (-2, -1)):
+        assert min(abs(roots[inner] - 1), abs(roots[outer] - 1)) < 0.15, roots

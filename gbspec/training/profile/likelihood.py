@@ -43,14 +43,11 @@ from gbspec.training.problem import Bijection, Parameters, Problem, typical
 from gbspec.training.profile.agreement import Found, compared, narrowing
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.result import Profile, ProfilePoint
+from gbspec.training.profile.side import Known, Side, closely
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 from gbspec.training.runs import agreed, at_bounds, widening
 
-FIRST, BEYOND = 0.6, 1.05
-"""Target values of the deviance's root, relative to the threshold's root: first well inside, then just outside."""
-NEAR = 0.75, 1.25
-"""A side is complete with a point outside if it or the last one inside is within these fractions of its root."""
 WIDEST = 0.5
 """Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
 INSIDE = 1e-3
@@ -301,49 +298,26 @@ class _Profiler:
 
 
 def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progress: Report | None) -> list[_Fitted]:
-    """The fits on one side of the estimate, until the threshold lies between two of them or `most` are made.
-
-    Each value is where the root of the deviance, which is linear for a parabola, is predicted to have its target.
-    """
-    found: list[_Fitted] = []
+    """The fits on one side of the estimate, until its crossing of the threshold is known, or `most` are made."""
+    found = {0.0: best}
     stride = direction * min(math.sqrt(profiler.threshold) * profiler.deviation, WIDEST)
-    here, last, inside, place = best, (0.0, 0.0), (0.0, 0.0), FIRST
-    outside = math.inf
+    side, outwards = Side(), 0.0
     for _ in range(most):
-        entry = float(best.theta[profiler.column]) + place * stride
-        here = profiler.held(entry, here)
-        before = (found[-1] if found else best).value
-        outwards = found[0].value - best.value if found else here.value - before
+        place = side.next
+        neighbour = found[min(found, key=lambda one: abs(one - place))]
+        here = profiler.held(float(best.theta[profiler.column]) + place * stride, neighbour)
+        outwards = outwards or here.value - best.value
         # The map of a constant whose starting value is on its bound turns back there.
-        if not math.isfinite(here.objective) or not (here.value - before) * outwards > 0:
+        if not math.isfinite(here.objective) or not (here.value - found[side.inside.place].value) * outwards > 0:
             break
-        found.append(here)
+        found[place] = here
         deviance = 2.0 * (here.objective - best.objective) / profiler.variance
         if progress is not None:
             progress(here.value, deviance)
-        root = math.sqrt(max(deviance, 0.0) / profiler.threshold)
-        if root <= 1.0:
-            last, inside = inside, (place, root)
-            if math.isfinite(outside) and root > NEAR[0]:
-                break
-        else:
-            outside = min(outside, place)
-            if root < NEAR[1] or inside[1] > NEAR[0]:
-                break
-        aimed = (
-            inside[0] + (place - inside[0]) * (BEYOND - inside[1]) / (root - inside[1])
-            if root > 1.0
-            else _further(last, inside)
-        )
-        place = min(aimed, 0.5 * (inside[0] + outside)) if math.isfinite(outside) and root <= 1.0 else aimed
-    return found
-
-
-def _further(last: tuple[float, float], here: tuple[float, float]) -> float:
-    """The place beyond two others inside, by the root's rise between them: at most twice as far. A root that bends down
-    would be approached in ever smaller steps by its rise from the estimate on."""
-    rise = (here[1] - last[1]) / (here[0] - last[0])
-    return min(here[0] + (BEYOND - here[1]) / max(rise, 1e-9), 2.0 * here[0])
+        side.tell(place, math.sqrt(max(deviance, 0.0) / profiler.threshold))
+        if side.complete:
+            break
+    return [one for place, one in found.items() if place]
 
 
 def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler) -> Profile:
@@ -356,7 +330,8 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     )  # fmt: skip
     notes, at = list(profiler.notes), fits.index(least)
     level = math.sqrt(profiler.threshold)
-    low, high = _crossing(points[at::-1], level), _crossing(points[at:], level)
+    sides = {"lower": points[at::-1], "upper": points[at:]}
+    low, high = (_crossing(side, level) for side in sides.values())
     slow = sum(not point.converged for point in points)
     if slow:
         low = high = None
@@ -365,6 +340,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     else:
         open_sides = [side for side, end in (("below", low), ("above", high)) if end is None]
         notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
+        notes += [text for which, side in sides.items() for text in _said_of_gap(which, side, level)]
     if np.any(profiler.free.start_free == 0) and any(s.initial.kind == "measured" for s in profiler.model.states):
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:
@@ -375,10 +351,28 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     return Profile(name, member, least.value, points, low, high, noise, tuple(notes), profiler.threshold)
 
 
+def _enclosing(points: tuple[ProfilePoint, ...], level: float) -> tuple[Known, Known] | None:
+    """The first two points outwards between which the root of the deviance crosses a level, by their distances from the
+    first of all and their roots over this level."""
+    known = [Known(p.value - points[0].value, math.sqrt(max(p.deviance, 0.0)) / level) for p in points]
+    return next(((a, b) for a, b in pairwise(known) if a.root <= 1.0 < b.root), None)
+
+
 def _crossing(points: tuple[ProfilePoint, ...], level: float) -> float | None:
     """Where the root of the deviance first crosses a level outwards, by interpolation (it is linear for a parabola)."""
-    for a, b in pairwise(points):
-        first, second = (math.sqrt(max(p.deviance, 0.0)) for p in (a, b))
-        if first <= level < second:
-            return a.value + (level - first) / (second - first) * (b.value - a.value)
-    return None
+    found = _enclosing(points, level)
+    if found is None:
+        return None
+    a, b = found
+    return points[0].value + a.place + (1.0 - a.root) / (b.root - a.root) * (b.place - a.place)
+
+
+def _said_of_gap(which: str, points: tuple[ProfilePoint, ...], level: float) -> list[str]:
+    """A sentence if an end of the interval lies anywhere between two points that are far from each other."""
+    found = _enclosing(points, level)
+    if found is None or closely(*(Known(abs(one.place), one.root) for one in found)):
+        return []
+    first, second = (f"{points[0].value + one.place:.4g}" for one in found)
+    return [
+        f"the {which} end lies between {first} and {second}, where a straight line puts it: more `--points` tell better"
+    ]
