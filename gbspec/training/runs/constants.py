@@ -164,11 +164,7 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
     at_bound, open_ones = [], []
     for learnable in model.learnables:
         record, bounds = constants.get(learnable.name), learnable.range
-        if record is None or record.interval is None or not bounds.bounded or bounds.low >= bounds.high:
-            continue
-        ends = np.array([*record.interval, bounds.low, bounds.high])
-        low, high, least, most = np.log(np.abs(ends)) if bounds.logarithmic else ends
-        if abs(high - low) < COVERED * abs(most - least):
+        if record is None or record.interval is None or not covers(learnable, record.interval):
             continue
         near = min((bounds.low, bounds.high), key=lambda bound: abs(record.value - bound))
         narrow = Bijection.of(learnable).share(record.value, record.sd) < NARROW
@@ -181,6 +177,16 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
         else:
             open_ones.append((learnable.name, record.interval))
     return [*_not_determined(open_ones), *at_bound]
+
+
+def covers(learnable: Learnable, interval: tuple[float, float] | None) -> bool:
+    """Whether an interval says no more than the bounds of a constant."""
+    bounds = learnable.range
+    if interval is None or not bounds.bounded or bounds.low >= bounds.high:
+        return False
+    ends = np.array([*interval, bounds.low, bounds.high])
+    low, high, least, most = np.log(np.abs(ends)) if bounds.logarithmic else ends
+    return bool(abs(high - low) >= COVERED * abs(most - least))
 
 
 def _not_determined(found: Sequence[tuple[str, tuple[float, float]]]) -> list[str]:

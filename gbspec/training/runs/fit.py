@@ -372,7 +372,9 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     constants = {k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables}
     said = said_of_constants(model, constants, ended, results)
-    together = moving_together(correlations, [name for name, each in constants.items() if each.certain])
+    misjudged = {name for r in ordered for name in r.misjudged}  # their correlations are those of the same curvature
+    certain = {name for name, each in constants.items() if each.certain}
+    together = moving_together(correlations, certain | misjudged)
     return replace(
         record,
         constants=constants,

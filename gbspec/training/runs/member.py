@@ -35,6 +35,7 @@ from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
+from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
@@ -371,10 +372,11 @@ class _Runner:
             for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
                 result.sd[name] = factor * float(deviation)
             result.correlations = position.certainty.correlations
-            if position.finished:
-                result.tied += without_tied(result, self.context, self.parameters, position.best, names)
         if position.certainty.own.shape == result.own_sd.shape:
             result.own_sd = factor * position.certainty.own
+        if position.finished and not marginal:
+            for without in (without_tied, without_misjudged):
+                result.tied += without(result, self.context, self.parameters, position.best, names)
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 

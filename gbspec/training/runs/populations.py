@@ -16,6 +16,7 @@ from gbspec.runs import Covariance, EffectRecord, ErrorsRecord, ObjectiveRecord,
 from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
+from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import HELPS, TIED, said_of_tied, without_tied
 
@@ -81,6 +82,7 @@ def with_population(
     made_result.tied += said_of_tied(tied, [name for name, one in found.loosened.items() if math.isnan(one)], HELPS)
     if _one_sum_of_squares(context.model):
         made_result.tied += without_tied(made_result, context, parameters, theta, begun)
+    made_result.tied += misjudged_of_population(made_result, objective, found)
     tables = _tables(context, found, objective)
     errors = _errors(context, tables)
     made_result.vanished, infinite = _unbounded(context, found, tables)

@@ -90,6 +90,8 @@ class MemberResult:
     """Where channels have residuals that are far from all others, and leave most of the sum of squares."""
     vanished: frozenset[str] = frozenset()
     """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
+    misjudged: frozenset[str] = frozenset()
+    """Constants without a standard deviation since the curvature leaves them open and the data do not."""
 
 
 def summarise(

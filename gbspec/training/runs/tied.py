@@ -17,7 +17,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, TorchEngine, residual_vector
-from gbspec.training.optimise import Anchor, Certainty, Penalised, loosened, minimise, noise_variance
+from gbspec.training.optimise import Anchor, Certainty, Penalised, Rest, loosened, minimise, noise_variance
 from gbspec.training.problem import Bijection, Bijections, Integers, Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import EXACT, at_bounds, half_width, inside_bounds
@@ -110,13 +110,10 @@ def _followed(
 ) -> list[Followed]:
     """The constants that leave their `intervals` while those `at` bounds move inside as far as the data allow: until
     the deviance, with everything else refitted, is above the `threshold`."""
-    parameters, residuals = engine.parameters, residual_vector(engine, theta)
-    if len(residuals) * parameters.size > LARGEST:
+    parameters = engine.parameters
+    if len(residual_vector(engine, theta)) * parameters.size > LARGEST:
         return []
-    used = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
-    variance = noise_variance(engine.problem, residuals, float("inf"), used)
-    problem = replace(engine.problem, scaling=replace(engine.problem.scaling, noise=math.sqrt(variance)))
-    target = Penalised(context.choice.engine(problem, parameters), 0.0, np.zeros(0))
+    target, variance = penalised(context, engine, theta)
     names = [parameters.model.learnables[i].name for i in parameters.shared]
     furthest: dict[str, tuple[float, Followed]] = {}
     for bounded, bound in at.items():
@@ -127,6 +124,15 @@ def _followed(
                 if beyond > (furthest[name][0] if name in furthest else 0.0):
                     furthest[name] = beyond, Followed(name, low, high, bounded, natural[bounded], natural[name])
     return [furthest[name][1] for name in names if name in furthest]
+
+
+def penalised(context: Context, engine: Engine, theta: Array) -> tuple[Penalised, float]:
+    """The sum of squares of a fit of constants alone, and the variance of its noise at a vector."""
+    parameters, residuals = engine.parameters, residual_vector(engine, theta)
+    used = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+    variance = noise_variance(engine.problem, residuals, float("inf"), used)
+    problem = replace(engine.problem, scaling=replace(engine.problem.scaling, noise=math.sqrt(variance)))
+    return Penalised(context.choice.engine(problem, parameters), 0.0, np.zeros(0)), variance
 
 
 def _inwards(
@@ -144,24 +150,25 @@ def _inwards(
             np.array([Bijection.of(learnable).inside(bound, share)])
         )[0]
         try:
-            now, objective = _refitted(target, moved, column, variance)
+            rest = refitted(target, moved, column, variance)
         except (ComputationError, np.linalg.LinAlgError):
             break
-        if not 2 * (objective - least) / variance <= threshold:
+        now = rest.theta
+        if not 2 * (rest.objective - least) / variance <= threshold:
             break
         found.append(np.asarray(maps.to_natural(torch.from_numpy(now[parameters.places])).numpy()))
     return found
 
 
-def _refitted(target: Penalised, theta: Array, column: int, variance: float) -> tuple[Array, float]:
-    """The vector and the objective of the fit with one entry held."""
+def refitted(target: Penalised, theta: Array, column: int, variance: float) -> Rest:
+    """The fit with one entry held."""
     enough = 0.5 * ACCURACY * variance
     for _ in range(JACOBIANS):
         rest = minimise(target, Anchor(target.equations(theta), WEAK * variance, column), theta, enough, STEPS)
         theta = rest.theta
         if rest.promised <= enough:
             break
-    return theta, rest.objective
+    return rest
 
 
 def without_loosened(known: Certainty, parameters: Parameters) -> tuple[Certainty, list[str]]:

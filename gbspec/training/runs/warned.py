@@ -44,7 +44,7 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
     shared = [sd for name, sd in result.sd.items() if name not in own]
     deviations = np.array(shared) if shared else result.own_sd
-    if not deviations.size or np.isfinite(deviations).any():
+    if not deviations.size or np.isfinite(deviations).any() or result.misjudged:
         return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []

@@ -1,0 +1,194 @@
+"""Constants that the curvature of a fit leaves open although the data hold them.
+
+A standard deviation is computed from the curvature at the estimate. Where that vanishes while the sum of squares still
+rises further off (two rates that may be exchanged, and meet), it says nothing. Before constants are called open, the
+fit with each of them held a part of the way to its bounds, and all else refitted, tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.diagnostics import ComputationError
+from gbspec.ir import Learnable, Model
+from gbspec.training.engines import TorchEngine, residual_vector
+from gbspec.training.population import Objective, PopulationResult
+from gbspec.training.problem import Bijections, Parameters
+from gbspec.training.recipe import Context, step_fraction
+from gbspec.training.runs.constants import EXACT, at_bounds, covers, half_width, inside_bounds
+from gbspec.training.runs.summary import MemberResult, whole_solutions
+from gbspec.training.runs.tied import LARGEST, penalised, refitted
+from gbspec.training.runs.verdict import widening
+
+WAY = 0.25
+"""The part of the way to its bounds, on their scale, that a constant is moved."""
+EQUAL = 0.05
+"""Two constants of one unit that differ by a smaller part may be two that can be exchanged."""
+SCORING = 6
+"""Steps of scoring, and halvings of each, of a marginal likelihood with one constant held."""
+
+Rise = Callable[[float], float]
+"""By how much the deviance is higher with the constant held at a value, at least; minus infinity if not known."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """A constant that the data hold: the values at which the fit is clearly worse."""
+
+    learnable: Learnable
+    estimate: float
+    worse: tuple[float, ...]
+
+
+def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: float) -> Held | None:
+    """The constant, if a part of the way to one of its bounds the deviance is above the threshold."""
+    low, high, log = learnable.range.low, learnable.range.high, learnable.range.logarithmic
+
+    def towards(bound: float) -> float:
+        if log and value * bound > 0:
+            return float(value * (bound / value) ** WAY)
+        return value + WAY * (bound - value)
+
+    worse = tuple(place for place in map(towards, (low, high)) if rise(place) > threshold)
+    return Held(learnable, value, worse) if worse else None
+
+
+def without_misjudged(
+    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+) -> list[str]:
+    """Takes their standard deviations from constants of a fit of squares that the data hold although the curvature
+    does not; what is to be said of them. `stages` are those that led to `theta`."""
+    model = context.model
+    if parameters.n_weights or model.diffusions or model.marginal or not result.loss > EXACT:
+        return []
+    shared = [model.learnables[i] for i in parameters.shared]
+    open_ones = _open(result, model, shared)
+    if not open_ones:
+        return []
+    blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
+    engine = context.engine(parameters, blend, step_fraction(stages))
+    large = len(residual_vector(engine, theta)) * parameters.size > LARGEST
+    if large or (model.delays and isinstance(engine, TorchEngine)):
+        return []
+    target, variance = penalised(context, engine, theta)
+    least = target.value(theta)
+
+    def rise_of(place: int) -> Rise:
+        def rise(value: float) -> float:
+            column, moved = parameters.n_weights + place, theta.copy()
+            moved[column] = Bijections.of((shared[place],)).from_natural(np.array([value]))[0]
+            try:
+                rest = refitted(target, moved, column, variance)
+            except (ComputationError, np.linalg.LinAlgError):
+                return -math.inf
+            return 2 * (rest.objective - rest.promised - least) / variance
+
+        return rise
+
+    threshold = (half_width([result]) * widening(result.channels or {})) ** 2
+    names = [k.name for k in shared]
+    each = (held_by_data(k, result.constants[k.name], rise_of(names.index(k.name)), threshold) for k in open_ones)
+    found = [one for one in each if one is not None]
+    return _taken(result, model, found, "`gbspec profile` gives intervals")
+
+
+def misjudged_of_population(result: MemberResult, objective: Objective, found: PopulationResult) -> list[str]:
+    """The same of a marginal likelihood: of medians of distributions, and of constants of all trajectories."""
+    model, known, places = objective.layout.model, found.estimates, {}
+    for learnable in model.learnables:
+        name = learnable.name if learnable.distribution is None else learnable.distribution.median
+        if name and name in known.names:
+            places[learnable.name] = known.at(name)
+
+    def rise_of(place: int) -> Rise:
+        return lambda value: with_held(objective, found, place, value) - found.point.objective
+
+    threshold = half_width([result]) ** 2
+    open_ones = _open(result, model, [k for k in model.learnables if k.name in places])
+    each = (held_by_data(k, result.constants[k.name], rise_of(places[k.name]), threshold) for k in open_ones)
+    return _taken(result, model, [one for one in each if one is not None], "A prior, or a value (`const`), gives one")
+
+
+def with_held(objective: Objective, found: PopulationResult, place: int, value: float) -> float:
+    """The objective with one parameter at a value and all others moved by scoring, less what a further step promises;
+    minus infinity where it cannot be computed."""
+    count, u = len(found.point.weights), found.point.u.copy()
+    natural = objective.layout.natural(torch.from_numpy(u)).numpy().copy()
+    natural[place] = value
+    u[place] = objective.layout.bijections.from_natural(natural)[place]
+    now = objective.at(found.point.weights, u, found.point.z, found.ridge, afresh=True)
+    if not np.isfinite(now.objective):
+        return -math.inf
+    rest, promised = np.setdiff1d(np.arange(count + len(u)), [count + place]), math.inf
+    for _ in range(SCORING):
+        curvature = objective.curvature(now, found.ridge)[np.ix_(rest, rest)]
+        slope, step = objective.gradient(now, found.ridge)[rest], np.zeros(count + len(u))
+        step[rest] = -np.linalg.pinv(curvature, hermitian=True) @ slope
+        promised = -0.5 * float(slope @ step[rest])
+        if promised < 0.05:
+            break
+        for halving in range(SCORING):
+            part = step * 0.5**halving
+            new = objective.at(now.weights + part[:count], now.u + part[count:], now.z, found.ridge)
+            if new.objective < now.objective:
+                now = new
+                break
+        else:
+            break
+    return now.objective - promised
+
+
+def _open(result: MemberResult, model: Model, learnables: Iterable[Learnable]) -> list[Learnable]:
+    """The constants whose intervals, by the curvature, cover their bounds."""
+    ended = dict(at_bounds(model, result.constants, result.sd))
+
+    def interval(k: Learnable) -> tuple[float, float] | None:
+        sd = result.sd.get(k.name, math.nan)
+        known = math.isfinite(sd) and k.name not in ended
+        return inside_bounds(k, result.constants[k.name], sd, half_width([result])) if known else None
+
+    return [k for k in learnables if covers(k, interval(k))]
+
+
+def _taken(result: MemberResult, model: Model, held: Sequence[Held], helps: str) -> list[str]:
+    """Takes their standard deviations from constants that the data hold, and from those of single trajectories that are
+    as open by the same curvature; a sentence of them."""
+    if not held:
+        return []
+    names = [one.learnable.name for one in held]
+    listed = ", ".join(f"`{name}`" for name in names[:-1]) + " and " * (len(names) > 1) + f"`{names[-1]}`"
+    result.sd |= dict.fromkeys(names, math.nan)
+    result.misjudged |= frozenset(names)
+    own = [k.individual for k in model.learnables if k.per_trajectory and k.distribution is None]
+    for j, learnable in enumerate(own if result.own_sd.shape[1] == len(own) else []):
+        for i, (value, sd) in enumerate(zip(result.own[:, j], result.own_sd[:, j], strict=True)):
+            if math.isfinite(sd) and covers(learnable, inside_bounds(learnable, value, sd, half_width([result]))):
+                result.own_sd[i, j] = math.nan
+    verb = "has" if len(held) == 1 else "have"
+    tried = ", or ".join(f"{one.learnable.name} = {' or '.join(f'{value:.3g}' for value in one.worse)}" for one in held)
+    said = (
+        f"{listed} {verb} no interval: the curvature at the estimate, from which "
+        f"intervals are computed, leaves {'it' if len(held) == 1 else 'them'} open, and the data do not: with "
+        f"{tried}, and all else refitted, the fit is clearly worse. {helps}"
+    )
+    return [said + _exchanged(held)]
+
+
+def _exchanged(held: Sequence[Held]) -> str:
+    """What is said of two constants that meet."""
+    for a, b in combinations(held, 2):
+        size = max(abs(a.estimate), abs(b.estimate))
+        if a.learnable.unit == b.learnable.unit and abs(a.estimate - b.estimate) <= EQUAL * size:
+            return (
+                f". `{a.learnable.name}` and `{b.learnable.name}` have the same value: where two rates in turn can be "
+                "exchanged, the curvature vanishes where they meet. The data may ask for one rate, or for a damped "
+                "oscillation, which no two rates give"
+            )
+    return ""

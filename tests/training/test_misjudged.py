@@ -1,0 +1,75 @@
+"""Constants that the curvature leaves open although the data hold them: two rates in turn that are fitted as equal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gbspec
+from gbspec.training.runs.misjudged import held_by_data
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+TURNS = """\
+model turns "Two rates in turn"
+time t from 0
+state A in [0, 30]
+state G in [0, 30]
+learn ka = 0.3 in [0.02, 3]
+learn ke = 0.3 in [0.02, 3]
+learn A0 = 5 in [0.5, 50]
+initial A = A0
+initial G = 0
+A' = -ka*A
+G' = ka*A - ke*G
+observe G
+"""
+
+
+def oscillating(path: Path, sizes: Sequence[float]) -> Path:
+    """Values that ask for a damped oscillation: the nearest that two rates give is with both the same."""
+    random, t = np.random.default_rng(3), np.arange(1.0, 25.0)
+    lines = ["trajectory,t,G"]
+    for i, size in enumerate(sizes):
+        values = size * np.sin(0.12 * t) / 0.12 * np.exp(-0.3 * t) + 0.1 * random.standard_normal(len(t))
+        lines += [f"{i},{a},{b:.4f}" for a, b in zip(t, values, strict=True)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_rates_that_meet_are_not_called_undetermined(tmp_path: Path) -> None:
+    (tmp_path / "m.gb").write_text(TURNS)
+    data = oscillating(tmp_path / "d.csv", [1.5])
+    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run.fit
+    assert fit.constants["ka"].value == pytest.approx(fit.constants["ke"].value, rel=0.05)
+    assert fit.constants["ka"].interval is None and fit.constants["ke"].interval is None
+    (said,) = [text for text in fit.warnings if "`ka`" in text]
+    assert "no interval: the curvature at the estimate" in said
+    assert "`gbspec profile` gives intervals" in said
+    assert "`ka` and `ke` have the same value" in said
+    assert not any("not determined" in text or "come to rest" in text for text in fit.warnings), fit.warnings
+
+
+def test_rates_of_a_population_that_meet_are_not_called_undetermined(tmp_path: Path) -> None:
+    text = TURNS.replace("in [0.5, 50]", "in [0.5, 50] per trajectory ~ lognormal")
+    (tmp_path / "m.gb").write_text(text.replace("observe G", "learn s = 0.1 in [0.01, 1]\nobserve G noise normal(s)"))
+    data = oscillating(tmp_path / "d.csv", [1.5, 2.5, 1.0, 2.0])
+    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run.fit
+    assert fit.constants["ka"].interval is None and fit.constants["s"].interval is not None
+    assert any("`ka`, `ke` and `A0` have no interval" in text for text in fit.warnings), fit.warnings
+    assert not any("not determined" in text or "`gbspec profile`" in text for text in fit.warnings), fit.warnings
+
+
+@pytest.mark.parametrize(("sharp", "held"), [(1.0, True), (0.1, False)])
+def test_a_constant_is_held_where_the_deviance_rises_on_the_way_to_its_bounds(
+    tmp_path: Path, sharp: float, held: bool
+) -> None:
+    (tmp_path / "m.gb").write_text("model m\nstate x = 1\nlearn k = 50 in [0.01, 100]\nx' = -k\nobserve x\n")
+    (learnable,) = gbspec.load(tmp_path / "m.gb").model.learnables
+    found = held_by_data(learnable, 1.0, lambda value: 10 * sharp * np.log(value) ** 2, 2.7)
+    assert (found is not None) is held
+    if found is not None:
+        assert found.worse == pytest.approx((0.01**0.25, 100**0.25))
