@@ -26,6 +26,7 @@ from gbspec.training.problem import Parameters, autocorrelation_of, in_time
 from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
 from gbspec.training.runs import summary
+from gbspec.training.runs.small_noise import said_of_small_noises
 from gbspec.training.runs.summary import MemberResult
 
 OBJECTIVE = "likelihood of innovations (Kalman filter)"
@@ -60,6 +61,7 @@ def summarise(
     loss = 0.5 * float(np.mean(scaled[seen] ** 2)) if seen.any() else 0.0
     own = constants[:, [known + i for i in parameters.own]]
     likelihood = _likelihood(engine, found, vector)
+    told = [name for name, one in likelihood.noise.items() if one.interval is not None]
     return MemberResult(
         context.seed,
         loss,
@@ -79,7 +81,10 @@ def summarise(
         scales=None,
         objective=ObjectiveRecord(OBJECTIVE, likelihood.minus2ll),
         likelihood=likelihood,
-        left=stiff_as_learned(context, problem, parameters, theta, 1.0, engine.row_states(found)[0]),
+        left=[
+            *stiff_as_learned(context, problem, parameters, theta, 1.0, engine.row_states(found)[0]),
+            *said_of_small_noises(engine, found, vector, told),
+        ],
     )
 
 
