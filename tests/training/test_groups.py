@@ -16,6 +16,7 @@ from gbspec.operations import models, tables
 from gbspec.report.text import population_lines
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Groups
+from gbspec.training.runs.populations import left_out
 from tests.training.test_populations import DECAY, LEVEL, assert_slopes_of_constants, marginal_of, model_of
 
 NESTED = LEVEL.replace("~ normal(s)", "~ normal(s) per strain ~ normal(w)\nlearn w = 0.8 > 0")
@@ -177,3 +178,17 @@ def strain_of(item: Trajectory) -> float:
 
 def level_of(item: Trajectory) -> float:
     return float(np.mean(item.values))
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "said"),
+    [
+        (NESTED, "trajectory", "Leave `per trajectory` with its distribution out (`per strain` can stay)"),
+        (NESTED, "strain", "Leave `per strain` with its distribution out (`per trajectory` can stay)"),
+        (ALONE, "strain", "Leave the distribution out"),
+        (LEVEL, "trajectory", "Leave the distribution out"),
+    ],
+)
+def test_the_level_that_can_be_left_out_is_named(tmp_path: Path, text: str, column: str, said: str) -> None:
+    (learnable,) = model_of(text, tmp_path).distributed
+    assert left_out(learnable.distribution, column) == said

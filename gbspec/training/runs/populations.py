@@ -11,7 +11,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir import NOISES, Model
+from gbspec.ir import NOISES, Distribution, Model
 from gbspec.runs import Covariance, EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
 from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
 from gbspec.training.problem import Parameters
@@ -168,6 +168,7 @@ def _doubtful(objective: Objective, found: PopulationResult) -> list[str]:
     """A warning for each learned spread that the data do not tell apart from none: its interval, which is that of its
     logarithm, may cover several powers of ten."""
     out, known = [], found.estimates
+    distributions = {k.name: k.distribution for k in objective.layout.distributed}
     for name, column, place, size in _spreads(objective, found):
         value, low, high = (float(of[place]) for of in (known.value, known.low, known.high))
         if value < VANISHED * size or not low < OPEN * value:
@@ -177,9 +178,23 @@ def _doubtful(objective: Objective, found: PopulationResult) -> list[str]:
             out.append(
                 f"the spread of `{name}` between values of `{column}`, {value:.3g}, is not told apart from none by "
                 f"these data: without it -2 log likelihood is higher by {max(rise, 0.0):.2g} only (2.7 would tell), "
-                f"and its interval, {low:.3g} to {high:.3g}, says nothing. Leave the distribution out, or measure more"
+                f"and its interval, {low:.3g} to {high:.3g}, says nothing. {left_out(distributions[name], column)}, or "
+                "measure more"
             )
     return out
+
+
+def left_out(made: Distribution | None, column: str) -> str:
+    """What to leave out of the statement of a constant that does not differ between values of a column."""
+    if made is None:
+        return "Leave the distribution out"
+    columns = ("trajectory", *(level.column for level in made.levels))
+    differ = (name for name, (spread, fixed) in zip(columns, made.spreads, strict=True) if spread or fixed)
+    kept = [name for name in differ if name != column]
+    if not kept:
+        return "Leave the distribution out"
+    rest = " and ".join(f"`per {name}`" for name in kept)
+    return f"Leave `per {column}` with its distribution out ({rest} can stay)"
 
 
 def _without(objective: Objective, found: PopulationResult, place: int, none: float) -> float:
