@@ -96,7 +96,9 @@ class MarginalLikelihood:
         ridge: float | None,
         failure: Failure,
         others: Starts | None = None,
+        said: str = "",
     ) -> None:
+        self.said = said  # of the step, after the likelihood
         self.name, self.total, self.parameters = name, total, parameters
         self.whole, self.failure, self.others = objective, failure, others
         self.objective = objective.by_laplace()
@@ -195,7 +197,9 @@ class MarginalLikelihood:
         if last and not of_quadrature and self.whole is not self.objective:
             reached["damping"], last = np.array(1e-3), False
         values = max(int(self.objective.marginal.predictions.problem.seen.sum()), 1)
-        return Outcome(reached, new.objective / (2 * values), last, "", f"-2 log likelihood {new.minus2ll:.6g}")
+        return Outcome(
+            reached, new.objective / (2 * values), last, "", f"-2 log likelihood {new.minus2ll:.6g}{self.said}"
+        )
 
     def _penalty(self, point: Point, ridge: float) -> float:
         """The part of the objective that is not the likelihood, with another ridge."""

@@ -175,7 +175,17 @@ class _Likelihoods:
             return explain_failure(context.problem(0.0, step_fraction(begun)), parameters, theta, name.value)
 
         objective = self._objective(*begun)
-        return MarginalLikelihood(name.value, self._most, parameters, objective, _ridge(context), failure, others)
+        said = self._finer(step_fraction(begun)) if name is StageName.FINER else ""
+        return MarginalLikelihood(name.value, self._most, parameters, objective, _ridge(context), failure, others, said)
+
+    def _finer(self, fraction: float) -> str:
+        """What a finer step is: likelihoods at different steps differ by the error of the step, also without a fit."""
+        rtol = self._context.tolerance(fraction)
+        if rtol is None:
+            size = f"largest step {fraction * self._context.max_step:.3g}, half of that before"
+        else:
+            size = f"tolerance {rtol:.3g}, a tenth of that before"
+        return f" ({size}; likelihoods at different steps also differ by the error of the step)"
 
     def _at(self, objective: Objective, reached: Reached) -> Point:
         """The point that has been reached."""

@@ -79,9 +79,13 @@ def with_population(
     )
     tied = {name: factor for name, factor in found.loosened.items() if factor > TIED and name in made_result.sd}
     made_result.sd |= dict.fromkeys(tied, math.nan)
-    made_result.tied += said_of_tied(tied, [name for name, one in found.loosened.items() if math.isnan(one)], HELPS)
+    said = []
     if _one_sum_of_squares(context.model):
-        made_result.tied += without_tied(made_result, context, parameters, theta, begun)
+        said = without_tied(made_result, context, parameters, theta, begun, tied)
+    if not any(f"`{name}`" in text for text in said for name in tied):
+        ended = [name for name, one in found.loosened.items() if math.isnan(one)]
+        said = [*said_of_tied(tied, ended, HELPS), *said]
+    made_result.tied += said
     made_result.tied += misjudged_of_population(made_result, objective, found)
     tables = _tables(context, found, objective)
     errors = _errors(context, tables)

@@ -64,10 +64,15 @@ class Followed:
 
 
 def without_tied(
-    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+    result: MemberResult,
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    stages: Sequence[str],
+    known: Mapping[str, float] | None = None,
 ) -> list[str]:
     """Takes their intervals from constants that follow from another one's bound; what is to be said of them. `stages`
-    are those that led to `theta`."""
+    are those that led to `theta`; `known`: the factors of those that another curvature has shown to be tied."""
     at = dict(at_bounds(context.model, result.constants, result.sd)) if result.loss > EXACT else {}
     ended = [context.model.learnables[i].name for i in parameters.shared if context.model.learnables[i].name in at]
     if not ended or context.model.diffusions:
@@ -75,6 +80,7 @@ def without_tied(
     blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
     tied = tied_to_bounds(engine, theta, ended)
+    tied |= {name: max(factor, tied.get(name, 0.0)) for name, factor in (known or {}).items()}
     result.sd |= dict.fromkeys(tied, math.nan)
     followed = []
     # Jacobians of delays by the torch graph take seconds each.
