@@ -281,7 +281,7 @@ def run_summary(run: Run) -> str:
         lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
         parts.append(table(["member", "loss", "time"], lines))
         parts.append(_channels(members))
-        parts += _of_logarithms(run)
+        parts += [*_of_logarithms(run), *_of_averages(members)]
     if run.fit.solver_reason:
         parts.append(f"solver `{run.fit.solver}`: {run.fit.solver_reason}")
     parts += [
@@ -303,6 +303,15 @@ def _of_logarithms(run: Run) -> list[str]:
     return [f"R² of {', '.join(names)}: of logarithms, as the noise is"] if names else []
 
 
+def _of_averages(members: Sequence[MemberRecord]) -> list[str]:
+    """What is to be said of channels with replicates and with limits."""
+    channels = {name: one for member in members for name, one in (member.channels or {}).items()}
+    averaged = [f"`{name}` ({one.averages} of {one.values} values)" for name, one in channels.items() if one.averages]
+    limited = [f"`{name}`" for name, one in channels.items() if one.censored]
+    out = [f"rmse and R² of {', '.join(averaged)}: of averages of replicates"] if averaged else []
+    return out + ([f"rmse and R² of {', '.join(limited)}: of values that are not censored"] if limited else [])
+
+
 def _channels(members: Sequence[MemberRecord]) -> str:
     """How whole solutions follow each channel, member by member, beside the best naive predictor."""
     rows = []
@@ -311,7 +320,8 @@ def _channels(members: Sequence[MemberRecord]) -> str:
             found = (member.channels or {}).get(name)
             known = (found.r2, found.naive, found.held) if found is not None else (None, None, None)
             count, weight = (found.values, found.weight) if found is not None else (None, None)
-            shown = ["-" if count is None else str(count), number(weight, 3)]
+            limits = f" ({found.censored} censored)" if found is not None and found.censored else ""
+            shown = ["-" if count is None else f"{count}{limits}", number(weight, 3)]
             predictor = found.predictor if found is not None else ""
             rows.append([str(i), name, number(rmse, 5), *map(share, known), predictor or "-", *shown])
     # The filter of a model with disturbances begins each prediction at the row before.

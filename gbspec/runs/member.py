@@ -64,7 +64,8 @@ class ChannelRecord:
     If the channel is weighed by a noise that the fit estimated, `noise` is its standard deviation, and `share` the
     share of the values that count. `outliers` is the number of residuals far from all others, if these leave most of
     the sum of squares. `lack_of_fit` is the probability that averages of replicates are so far from the solutions by
-    the error of measurement that replicates show; None without replicates.
+    the error of measurement that replicates show; None without replicates. `censored` of the `values` are limits, which
+    `r2` does not count, and so many `averages` are of replicates; None where there are none.
     """
 
     r2: float | None
@@ -79,6 +80,8 @@ class ChannelRecord:
     pairs: int = 0
     outliers: int | None = field(default=None, metadata=OMITTED)
     lack_of_fit: float | None = field(default=None, metadata=OMITTED)
+    censored: int | None = field(default=None, metadata=OMITTED)
+    averages: int | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

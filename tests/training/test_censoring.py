@@ -21,6 +21,7 @@ from gbspec.ir.residual import residuals, slopes
 from gbspec.report.collect import Fitted, trajectory_fits
 from gbspec.report.description import Axis, Points
 from gbspec.report.figures.fit import panel
+from gbspec.report.text import run_summary
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.objective import half_squares, residual_table
@@ -98,6 +99,9 @@ def test_a_fit_maximises_the_likelihood(tmp_path: Path, quick_fit: None) -> None
 
     best = minimize(lambda v: minus(float(v[0])), [0.6], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-13})
     assert made.fit.constants["k"].value == pytest.approx(float(best.x[0]), rel=1e-5)
+    channel = (made.fit.members[0].channels or {})["x"]
+    assert (channel.values, channel.censored, channel.averages) == (5, 3, None)
+    assert "5 (3 censored)" in run_summary(made)
     judged = validate(made, data_of(model))
     assert judged.limits["x"].n == 3 and judged.channels["x"].n == 2
     assert "3 of 3 censored values" in str(judged) or "others by" in str(judged)

@@ -15,6 +15,7 @@ from gbspec import frontend
 from gbspec.data import Trajectories, from_arrays, to_arrays
 from gbspec.diagnostics import Findings
 from gbspec.operations.tables import read_data
+from gbspec.report.text import run_summary
 from gbspec.runs import FitRecord
 from gbspec.training.runs.verdict import lacking
 
@@ -63,6 +64,9 @@ def test_constants_are_as_uncertain_as_if_replicates_were_values_of_their_own(tm
     channels = fit.members[0].channels or {}
     assert channels["y"].lack_of_fit == pytest.approx(f.sf(left / 4 / pure, 4, 18), rel=1e-3)
     assert not [text for text in fit.warnings if "replicates" in text]
+    assert (channels["y"].values, channels["y"].averages, channels["y"].censored) == (6, 6, None)
+    said = run_summary(gbspec.open_run(tmp_path / "run").run)
+    assert "rmse and R² of `y` (6 of 6 values): of averages of replicates" in said
 
 
 def test_a_model_that_lacks_something_is_told_by_replicates(tmp_path: Path) -> None:

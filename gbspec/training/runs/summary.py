@@ -236,8 +236,20 @@ def _channels(
             None if estimated is None else float(estimated.share[i]),
             *autocorrelation_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
             outliers=int(far_from_others(residuals[rows, i]).sum()) or None,
+            censored=limits_of(problem, i),
+            averages=averages_of(problem, i),
         )
     return out
+
+
+def limits_of(problem: Problem, channel: int) -> int | None:
+    """How many measured values of a channel are limits; None if none are."""
+    return int((problem.seen & ~problem.valued)[:, channel].sum()) or None
+
+
+def averages_of(problem: Problem, channel: int) -> int | None:
+    """How many values of a channel are averages of replicates; None if none are."""
+    return int((problem.valued & (problem.packed.weights > 1.0))[:, channel].sum()) or None
 
 
 def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
