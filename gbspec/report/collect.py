@@ -22,7 +22,7 @@ from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module, network_arguments
 from gbspec.data import Trajectories, Trajectory, evaluate
-from gbspec.ir import Channel, Model
+from gbspec.ir import Channel, Condition, Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
@@ -89,6 +89,10 @@ class Fitted:
         start = Start(np.mean(starts, axis=0), self.truth.constants, "known")
         found = predict(self.truth, self.model, at_times(self.data.items[index], times), start)
         return found.states, found.channels
+
+
+DIGESTS = 1e9
+"""Numbers of groups from here on stand for texts: the first bits of a digest."""
 
 
 def initial_states(fitted: Fitted, indices: Sequence[int]) -> InitialStates:
@@ -196,8 +200,14 @@ def _own_text(run: Run, label: str) -> str:
 
 
 def condition_text(model: Model, item: Trajectory) -> str:
-    """The conditions of a trajectory in words."""
-    return ", ".join(f"{c.name} = {value:.3g}" for c, value in zip(model.conditions, item.condition, strict=True))
+    """The conditions of a trajectory in words; without groups whose texts stand as digests."""
+    given = [(c, float(value)) for c, value in zip(model.conditions, item.condition, strict=True)]
+    return ", ".join(f"{c.name} = {_given_value(c, v)}" for c, v in given if not (c.labels and v >= DIGESTS))
+
+
+def _given_value(condition: Condition, value: float) -> str:
+    names = condition.categories
+    return names[int(value)] if names and 0 <= value < len(names) else f"{value:.3g}"
 
 
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
