@@ -1,7 +1,7 @@
 """How often 90 % intervals of constants contain the true ones, in fits to simulated counts.
 
-`python -m benchmarks.studies.counts [--sets 100]` prints, for Poisson and negative binomial counts of one decay (24 values),
-the part of the intervals of each constant that contain it.
+`python -m benchmarks.studies.counts [--sets 100]` prints, for Poisson and negative binomial counts of one decay (24
+values), the part of the intervals of each constant that contain it.
 """
 
 from __future__ import annotations
