@@ -24,6 +24,8 @@ CODES = (-999.0, -9999.0, -99999.0, -999.9, -9999.9, -99.0, -99.9, 999.0, 9999.0
 """What tables have in place of an empty cell."""
 SHORT = 10.0
 """Codes below this size are usual numbers, above all of inputs."""
+UNUSUAL = 999.0
+"""From this size on a negative code is one also where it is in most cells, as of what is measured rarely."""
 DISTINCT = 5
 """A column with fewer different values beside a code may consist of levels, of which the code is one."""
 FAR = 3.0
@@ -54,13 +56,20 @@ def missing_code(values: Array, quantity: Quantity) -> float | None:
     if quantity.role not in ("channel", "input", "condition") or quantity.categories or quantity.labels:
         return None
     others = values[~np.isin(values, CODES)]
-    if len(others) < len(values) / 2 or len(np.unique(others)) < DISTINCT:
+    if len(np.unique(others)) < DISTINCT:
         return None
     low, high = float(others.min()), float(others.max())
     width = high - low
     for code in CODES:
-        short = abs(code) < SHORT
-        if code not in values or (short and (quantity.role == "input" or low < 0)):
+        short, times = abs(code) < SHORT, int(np.sum(values == code))
+        if (
+            not times
+            or (short and (quantity.role == "input" or low <= 0))
+            or (code > -UNUSUAL and 2 * times > len(values))
+        ):
+            continue
+        # A positive one may be what a decay begins with, or the largest of few levels.
+        if code > 0 and (quantity.role != "channel" or times == 1 or values[0] == code):
             continue
         below_positive = code < 0 <= low + BEYOND * high and not short
         if max(low - code, code - high) > (1.0 if below_positive else FAR) * width:
@@ -102,7 +111,7 @@ def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findi
         others = (
             f" (so are {count - 1:,} more of {known.sum():,} values: from {values.min():.6g} to {values.max():.6g})"
         )
-        advice = f"most of them are: {_ANOTHER_UNIT}; {advice}"
+        advice = f"most values lie outside: {_ANOTHER_UNIT}; {advice}"
     findings.warning(
         "GB725",
         f"`{quantity.column}` is {value:g} in row {row}, outside its range {interval(bounds)}{others}",
@@ -162,7 +171,7 @@ def _as_argument(
             f"argument `{use.argument}` of `{use.unknown}` (so are {len(far) - 1:,} more of {known.sum():,} values: "
             f"from {values[far].min():.6g} to {values[far].max():.6g})",
             Cell(table.path, row, column),
-            help=f"most of them are: {_ANOTHER_UNIT}; change the range of the argument if such values are meant",
+            help=f"most values lie outside: {_ANOTHER_UNIT}; change the range of the argument if such values are meant",
             subject=name,
         )
         return

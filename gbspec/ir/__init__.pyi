@@ -15,11 +15,9 @@ from .censoring import Censored as Censored
 from .coordinates import LEAST as LEAST
 from .coordinates import Coordinate as Coordinate
 from .coordinates import coordinates_of as coordinates_of
-from .counts import LEAST_COUNT as LEAST_COUNT
 from .counts import count_moments as count_moments
 from .counts import count_quantile as count_quantile
 from .counts import counted_channels as counted_channels
-from .counts import deviation_of_counts as deviation_of_counts
 from .counts import noise_form as noise_form
 from .delays import Delay as Delay
 from .derivatives import between_jumps as between_jumps
@@ -32,6 +30,7 @@ from .distributions import Distribution as Distribution
 from .distributions import Level as Level
 from .distributions import Noise as Noise
 from .distributions import Spread as Spread
+from .distributions import deviation_of_counts as deviation_of_counts
 from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
@@ -95,6 +94,7 @@ from .model import TruthFunction as TruthFunction
 from .model import Unknown as Unknown
 from .model import symbol as symbol
 from .model import unknown_function as unknown_function
+from .noises import LEAST_COUNT as LEAST_COUNT
 from .noises import NOISES as NOISES
 from .noises import WITH_DENSITY as WITH_DENSITY
 from .noises import NoiseForm as NoiseForm

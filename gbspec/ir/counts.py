@@ -1,4 +1,4 @@
-"""Counts: their standard deviation in a model, and the quantiles of what is predicted of them."""
+"""Counts: their moments, and the quantiles of what is predicted of them."""
 
 from __future__ import annotations
 
@@ -6,24 +6,12 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-import sympy
 from numpy.typing import NDArray
 
-from gbspec.ir.distributions import PREDICTION, Expr
-from gbspec.ir.noises import NOISES, NoiseForm
-from gbspec.ir.symbols import symbol
+from gbspec.ir.noises import LEAST_COUNT, NOISES, NoiseForm
 
 if TYPE_CHECKING:
     from gbspec.ir.model import Channel, Model
-
-LEAST_COUNT = 1e-30
-"""The expectation of a count is at least this: a count where the model has none is improbable, but not impossible."""
-
-
-def deviation_of_counts(size: Expr | None) -> Expr:
-    """The standard deviation by PREDICTION: of Poisson counts, or of negative binomial ones of this size."""
-    mean = sympy.Max(PREDICTION, sympy.Float(LEAST_COUNT))
-    return sympy.sqrt(mean if size is None else mean + mean**2 / size)
 
 
 def count_moments(
@@ -34,7 +22,11 @@ def count_moments(
     f = np.maximum(mean, LEAST_COUNT)
     if noise is None or noise.shape is None:
         return f, f
-    size = float(noise.shape.xreplace({symbol(name): sympy.Float(value) for name, value in constants.items()}))
+    from sympy import Float
+
+    from gbspec.ir.symbols import symbol
+
+    size = float(noise.shape.xreplace({symbol(name): Float(value) for name, value in constants.items()}))
     return f, f + f**2 / size
 
 

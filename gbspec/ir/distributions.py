@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 import sympy
 
-from gbspec.ir.noises import NoiseKind
+from gbspec.ir.noises import LEAST_COUNT, NoiseKind
 
 Expr: TypeAlias = sympy.Expr
 
@@ -75,3 +75,9 @@ class Noise:
             other.value,
             other.shape,
         )
+
+
+def deviation_of_counts(size: Expr | None) -> Expr:
+    """The standard deviation by PREDICTION: of Poisson counts, or of negative binomial ones of this size."""
+    mean = sympy.Max(PREDICTION, sympy.Float(LEAST_COUNT))
+    return sympy.sqrt(mean if size is None else mean + mean**2 / size)

@@ -69,3 +69,6 @@ NOISES: Mapping[NoiseKind, NoiseForm] = {
 
 WITH_DENSITY: Mapping[str, NoiseForm] = {form.kind: form for form in NOISES.values() if form.density}
 """The noises with a density of their own, by their words."""
+
+LEAST_COUNT = 1e-30
+"""The expectation of a count is at least this: a count where the model has none is improbable, but not impossible."""

@@ -37,8 +37,6 @@ from gbspec.semantics import (
 )
 from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
-_NOISES: Mapping[str, NoiseKind] = {kind: kind for kind in NOISES}
-
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
     """The Model of a checked file.
@@ -351,7 +349,7 @@ class _Lowering:
 
     def _noise(self, noise: ast.Distribution, name: str) -> Noise:
         """A noise: a number, or an expression that is learned."""
-        kind = _NOISES[noise.kind.text]
+        kind = cast(NoiseKind, noise.kind.text)
         form = NOISES[kind]
         shape = self._fixed(noise.arguments[-1]) if form.shape else None
         if form.counts:

@@ -31,12 +31,16 @@ def column(role: str) -> Quantity:
         (ORDINARY - 5, [-9.0], None),
         (ORDINARY - 5, [-99.0], -99.0),
         (ORDINARY * 100, [-99.0], None),  # as far off as the values from each other
-        (ORDINARY, [99.0], 99.0),
+        (ORDINARY, [99.0] * 2, 99.0),
+        (ORDINARY, [99.0], None),  # may be an outlier
         (ORDINARY * 10, [99.0], None),  # percent
         (ORDINARY * 100, [999.0], None),
         (np.array([0.0, 0.0, 1.0, 0.0]), [-1.0], None),  # levels
         (np.array([0.0, 0.0, 0.0, 0.0]), [99.0], None),
-        (ORDINARY, [-999.0] * 20, None),  # no few
+        (ORDINARY, [-999.0] * 20, -999.0),  # measured rarely
+        (ORDINARY, [-99.0] * 20, None),
+        (9999 / 2.0 ** np.arange(8), [9999.0], None),  # a decay from 9999, twice
+        (np.linspace(0, 0.05, 9), [-1.0], None),
         (np.linspace(-1000, 0, 50), [-999.0, -99.0], None),
         (ORDINARY, [-998.0], None),
     ],

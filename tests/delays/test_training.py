@@ -54,7 +54,7 @@ def test_a_network_behind_a_delay_is_trained_and_predicts(tmp_path: Path, monkey
     found = run.validate(data)
     assert found.channels["P"].rmse < 0.5
     assert found.step_check.half_step is not None
-    assert run.eigen(at=[{"P": 0.7}]).points[0].eigenvalues.shape == (8,)
+    assert run.eigen(at=[{"P": 0.7}]).points[0].eigenvalues.shape == (9,), "eight roots, and the other one of a pair"
 
 
 def test_what_is_not_offered_is_refused(tmp_path: Path) -> None:

@@ -181,7 +181,7 @@ def test_the_reason_for_which_it_is_undecided_is_that_of_the_model(text: str, re
 
 
 def test_no_branches_are_named_where_there_are_none() -> None:
-    examination = Examination((), Identifiability(False, doubtful=("b",)), False)
+    examination = Examination((), Identifiability(False, doubtful=("b",)))
     assert examination_summary(examination).endswith("decided for b: it depends on which values the data reach\n")
 
 

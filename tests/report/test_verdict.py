@@ -14,7 +14,7 @@ from gbspec.analysis.validation.step_check import StepCheck
 from gbspec.analysis.validation.validate import Validation
 from gbspec.report.content import LearnedFunction, Slice
 from gbspec.report.verdict import verdict
-from gbspec.runs.record import ChannelRecord, ConstantRecord, DataRecord, FitRecord, MemberRecord
+from gbspec.runs import ChannelRecord, ConstantRecord, DataRecord, FitRecord, MemberRecord
 from gbspec.training.runs.verdict import verdicts
 
 X = np.linspace(0.0, 1.0, 20)

@@ -104,9 +104,11 @@ def test_one_outlier_is_no_several_and_places_have_their_trajectories() -> None:
 
     def said(*places: Place) -> str:
         channels = {"x": ChannelRecord(0.9, 0.0, values=200)}
-        return said_of_outlying(channels, {"x": Outlying(places)}, model, {"x": 0.1})[0]
+        found = Outlying(places, several=len(places) != 1 or places[0].trajectory != "alone")
+        return said_of_outlying(channels, {"x": found}, model, {"x": 0.1})[0]
 
-    one = said(Place("a", 3.0, 3.0, 1))
+    one = said(Place("alone", 3.0, 3.0, 1))
     assert "1 of 200 residuals of `x` is far from all others (t = 3): it is" in one and "leave this cell empty" in one
+    assert "others (t = 3 of trajectory `b`): it is" in said(Place("b", 3.0, 3.0, 1)), "one of several trajectories"
     several = said(*(Place(label, 3.0, 3.0, 1) for label in "abcdef"))
     assert "3 of trajectory `a`, 3 of trajectory `b`" in several and "`d` and 2 more)" in several

@@ -102,6 +102,8 @@ class MemberPredictions:
                 return self._solve(item, begun, evaluator)[1]
 
             variance = variance + self.displaced.variance(start, variables, solve, refitted)
+            if start.origin == "learned":
+                variance[:, : len(self.model.channels)] = 0.0
         return View(found, variables, variance)
 
     def _start(self, index: int, seen: Trajectory, goes_on: bool) -> tuple[Start, Estimator]:

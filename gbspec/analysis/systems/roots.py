@@ -59,7 +59,8 @@ def characteristic_modes(now: Array, late: Sequence[Array], lags: Array) -> tupl
     """The rightmost roots [K] of x' = now x + sum of late_i x(t - lag_i), by decreasing real part, in a pair the
     positive imaginary part first, and their modes at the present, the unit columns of [n, K].
 
-    Each is a root of the characteristic equation to rounding. Where no delayed term is in a loop, they are eigenvalues.
+    Each is a root of the characteristic equation to rounding, a multiple one to a part of the digits. Where no delayed
+    term is in a loop, they are eigenvalues.
     """
     from scipy.sparse.csgraph import connected_components
 

@@ -9,7 +9,7 @@ are computed: along the others the variance is that of the prior, an upper bound
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from gbspec.runs import Covariance
 from gbspec.training.engines import Engine, Linearised, linearise
 from gbspec.training.optimise.levenberg_marquardt import DELTA_HIGH, DELTA_LOW, WEAK
 from gbspec.training.optimise.normal_equations import huber_weights, of_estimates
-from gbspec.training.optimise.priors import Priors
+from gbspec.training.optimise.priors import Priors, widest
 from gbspec.training.problem import Integers, Parameters
 
 LARGEST = 2**27
@@ -246,7 +246,10 @@ def _solved(reduced: _Reduced, parameters: Parameters, theta: Array) -> Covarian
         coupling=slopes[:, None] * coupling,
         conditional=slopes[:, None] * (variance * inverse) * slopes,
     )
-    return found.widened(float(np.sqrt(of_estimates(*reduced.limited, effective))))
+    found = found.widened(float(np.sqrt(of_estimates(*reduced.limited, effective))))
+    size = np.sqrt(np.maximum(np.diag(found.conditional), 1e-300))
+    share = np.minimum(1.0, widest(parameters, theta) / size)
+    return replace(found, conditional=share[:, None] * found.conditional * share)
 
 
 def _evidence(reduced: _Reduced, values: Array, weights: Array, others: float) -> tuple[float, float]:

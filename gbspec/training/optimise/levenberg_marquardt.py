@@ -10,7 +10,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, Linearised, linearise, residual_vector
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights, of_estimates
-from gbspec.training.optimise.priors import Priors
+from gbspec.training.optimise.priors import Priors, widest
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.problem import Parameters, Problem, mean_loss
 
@@ -158,9 +158,10 @@ class LevenbergMarquardt:
         variance = noise_variance(engine.problem, residuals, delta, freedom)
         variance *= of_estimates(residuals, fit.limit, freedom)
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.places])
+        most = widest(parameters, theta)
         for i, slope in enumerate(slopes):
             own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])
-            out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
+            out[i] = min(abs(float(slope)) * np.hypot(own, move), most[i]) if abs(move) <= own else np.nan
         roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * np.where(slopes < 0, -1.0, 1.0)
         own = _own_deviations(parameters, theta, local, variance, ahead)
         return Certainty(out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots), freedom, own)

@@ -73,19 +73,20 @@ def of_estimates(residuals: Array, limit: Array | float, used: float) -> float:
     """The variance of estimates by Huber's function, over that of weighted least squares with its weights.
 
     With psi the residual, cut at the limit, m the share of residuals within it, p the degrees of freedom `used` and n
-    residuals, the covariance is K^2 [sum psi^2 / (n - p)] / m^2 times the inverse of J^T J, K = 1 + (p/n) (1 - m)/m
-    (Huber, Robust Statistics, 1981, section 7.6), where weighted least squares have [sum w r^2 / (n - p)] times that of
-    J^T W J: 32 % less of normal noise with the limit at its standard deviation. At least 1: where few residuals are far
-    off the theory has less, on which nothing relies.
+    residuals, the covariance is [sum psi^2 / (n - p)] / m^2 times the inverse of J^T J (Huber, Robust Statistics, 1981,
+    section 7.6), where weighted least squares have [sum w r^2 / (n - p)] times that of J^T W J: 32 % less of normal
+    noise with the limit at its standard deviation. A fit makes up to p residuals nearly zero, so that m is the share of
+    the n - p others: without that it was a third of the right one with 20 of 60 degrees of freedom. At least 1: where
+    few residuals are far off the theory has less, on which nothing relies.
     """
     weights = huber_weights(residuals, limit)
     squares = float(np.sum(weights * residuals**2))
     if not squares > 0.0 or not len(weights):
         return 1.0
-    within = max(float(np.mean(weights == 1.0)), MOSTLY)
-    small = 1.0 + used / len(weights) * (1.0 - within) / within
+    others = max(len(weights) - used, 1.0)
+    within = max((float(np.sum(weights == 1.0)) - used) / others, MOSTLY)
     cut = float(np.sum((weights * residuals) ** 2)) / squares
-    return max(cut * float(weights.mean()) * (small / within) ** 2, 1.0)
+    return max(cut * float(weights.mean()) / within**2, 1.0)
 
 
 class Cholesky:

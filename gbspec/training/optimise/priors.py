@@ -191,3 +191,16 @@ def _guessed(parameters: Parameters) -> list[tuple[int, float, float]]:
             center = 0.5 * (given.low + given.high) if state.start is None else state.start
             found.append((i, center, 0.5 * (given.high - given.low)))
     return found
+
+
+def widest(parameters: Parameters, theta: Array) -> Array:
+    """The standard deviations [k] of the priors of shared constants, in their units at a vector; infinite without one.
+    No posterior is wider, though Huber's factor, which is one of measurements, would make it so."""
+    out = np.full(len(parameters.shared), np.inf)
+    values = parameters.bijections(parameters.shared).to_natural(torch.from_numpy(theta[parameters.places])).numpy()
+    for i in _with_prior(parameters):
+        prior = parameters.model.learnables[i].prior
+        if prior is not None and i in parameters.shared:
+            place = parameters.shared.index(i)
+            out[place] = prior_sd(prior) * (1.0 if prior.kind == "normal" else abs(float(values[place])))
+    return out

@@ -374,5 +374,6 @@ def _said_of_gap(which: str, points: tuple[ProfilePoint, ...], level: float) -> 
         return []
     first, second = (f"{points[0].value + one.place:.4g}" for one in found)
     return [
-        f"the {which} end lies between {first} and {second}, where a straight line puts it: more `--points` tell better"
+        f"the {which} end is interpolated between {first} and {second}, which are far apart: more `--points` locate it "
+        "better"
     ]

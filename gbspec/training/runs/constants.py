@@ -233,7 +233,7 @@ def near_bounds(
     how near others may be depends on these alone (`Bijection.ended_at`)."""
     told, out = {(member, name) for member, name, _ in ended}, []
     for member, result in sorted(results.items()):
-        if not result.finished or np.isfinite(list(result.sd.values())).any():
+        if not result.finished or result.misjudged or np.isfinite(list(result.sd.values())).any():
             continue
         for k in model.learnables:
             one, value = Bijection.of(k), result.constants.get(k.name)

@@ -45,11 +45,13 @@ class Place:
 @dataclass(frozen=True)
 class Outlying:
     """The residuals of a channel that are far from all others: their `places` in the order of the table, and the held
-    input of the channel's own expression that changes in `changed` of these rows, where this is no chance."""
+    input of the channel's own expression that changes in `changed` of these rows, where this is no chance. `several`:
+    there are other trajectories too."""
 
     places: tuple[Place, ...]
     switched: str = ""
     changed: tuple[float, ...] = ()
+    several: bool = False
 
     @property
     def together(self) -> bool:
@@ -80,7 +82,8 @@ def outlying_rows(model: Model, problem: Problem, mean: Array, items: Sequence[T
         if far.any():
             owner, time = packed.row_trajectory[rows], packed.row_time[rows]
             places = _places(own, far, owner, time, packed.labels)
-            found[channel.name] = Outlying(places, *_switched(model, channel, items, (far, owner, time), packed.labels))
+            switched = _switched(model, channel, items, (far, owner, time), packed.labels)
+            found[channel.name] = Outlying(places, *switched, several=len(packed.labels) > 1)
     return found
 
 
@@ -146,7 +149,7 @@ def said_of_outlying(
             continue
         count = sum(place.rows for place in one.places)
         are = "is" if count == 1 else "are"
-        where = _where(one.places, model, several=len({place.trajectory for place in one.places}) > 1)
+        where = _where(one.places, model, one.several)
         begin = f"{count} of {followed.values} residuals of `{channel.name}` {are} far from all others ({where})"
         if one.switched:
             out.append(begin + _at_switches(one, channel.name, count))

@@ -45,8 +45,7 @@ def said_of_small_noises(engine: FilterEngine, found: Filtered, vector: Array, n
         values, noise = packed.values[seen, channel], float(np.exp(log_sd[place]))
         missed = float(np.sqrt(np.mean(found.error[seen, channel] ** 2))) if seen.any() else math.nan
         step = step_of(values)
-        size = float(np.median(np.abs(values))) if engine.noise.log[channel] and len(values) else 1.0
-        rounding = step / math.sqrt(12) / size if size > 0 else 0.0
+        rounding = step / math.sqrt(12)
         if name in names and noise < ROUNDED * rounding:
             why = f"less than the rounding of its values to multiples of {step:g} leaves, {rounding:.2g}"
         elif name in names and noise < HARDLY * missed:

@@ -168,7 +168,7 @@ def below_stated(
         left = OF_MEDIAN * freedom * (found.values or 0) / counted
         # Values with deviations of their own are compared with these: the number in the model is not theirs.
         times, what = next(iter(_beside_stated(channel, noise, tabled)), (math.nan, ""))
-        if not 0 < times < 1 / ABOVE or chdtr(left, left * times**2) > BY_CHANCE:
+        if not 0 < times < 1 / ABOVE or not chdtr(left, left * times**2) <= BY_CHANCE:
             continue
         follows = ", or the learned functions follow the noise" if model.networks else ""
         of_residuals = f"{100 * noise[name]:.2g} %" if _relative(channel) else f"{noise[name]:.2g}"
