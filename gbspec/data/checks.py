@@ -16,7 +16,7 @@ from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
 from gbspec.frames import counted
-from gbspec.ir import Model, Range, telling_at_start
+from gbspec.ir import Model, Range, informative_at_start
 
 
 def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:
@@ -47,7 +47,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
         given = any(state.initial.kind in ("expression", "steady") for state in model.states)
         fixed = model.time.start is not None
         known = np.full(len(start), -np.inf) if fixed else start if given else start + np.inf
-        _measured(table, known, _telling(table, model), findings)
+        _measured(table, known, _informative(table, model), findings)
 
 
 def _resolved(table: Records, findings: Findings) -> None:
@@ -235,11 +235,11 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
         )
 
 
-def _telling(table: Records, model: Model) -> Mask:
-    """Whether a measured time alone tells of the dynamics [trajectories]: rates or learned functions are measured, and
-    more channels than there are unknown initial values."""
+def _informative(table: Records, model: Model) -> Mask:
+    """Whether a single measured time has information about the dynamics [trajectories]: rates or learned functions are
+    measured, and more channels than there are unknown initial values."""
     cells = [(quantity, cells) for quantity, cells in table.series.items() if quantity.role == "channel"]
-    tells, free = telling_at_start(model), sum(not state.initial.known for state in model.states)
+    tells, free = informative_at_start(model), sum(not state.initial.known for state in model.states)
     some, count = np.zeros(len(table.labels), dtype=bool), np.zeros(len(table.labels), dtype=np.int64)
     for quantity, measured in cells:
         groups = np.unique(table.group[measured.key])
@@ -248,9 +248,10 @@ def _telling(table: Records, model: Model) -> Mask:
     return some & (count > free)
 
 
-def _measured(table: Records, known: Array, telling: Mask, findings: Findings) -> None:
+def _measured(table: Records, known: Array, informative: Mask, findings: Findings) -> None:
     """Reports tables without measurements; warns of trajectories with fewer than two measured times, unless their one
-    time comes after that of a `known` start [trajectories], as where a dose is given first, or is `telling` itself."""
+    time comes after that of a `known` start [trajectories], as where a dose is given first, or is
+    `informative` itself."""
     channels = {quantity: cells for quantity, cells in table.series.items() if quantity.role == "channel"}
     hit = np.zeros(len(table.time), dtype=bool)
     for cells in channels.values():
@@ -271,7 +272,7 @@ def _measured(table: Records, known: Array, telling: Mask, findings: Findings) -
     _point_out(table, [int(g) for g in present if count[g] == 0], "GB728", findings)
     last = np.full(len(table.labels), -np.inf)
     np.maximum.at(last, table.group[hit], table.time[hit])
-    silent = [int(g) for g in present if count[g] == 1 and not (last[g] > known[g] or telling[g])]
+    silent = [int(g) for g in present if count[g] == 1 and not (last[g] > known[g] or informative[g])]
     _point_out(table, silent, "GB727", findings)
 
 

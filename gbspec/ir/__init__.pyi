@@ -35,9 +35,9 @@ from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
+from .evaluated import informative_at_start as informative_at_start
 from .evaluated import named as named
 from .evaluated import right_sides as right_sides
-from .evaluated import telling_at_start as telling_at_start
 from .evaluated import unknowns_in_equations as unknowns_in_equations
 from .evaluated import used_by_balances as used_by_balances
 from .events import HELD as HELD

@@ -31,8 +31,8 @@ def unknowns_in_equations(model: Model) -> bool:
     return any(residual.has(AppliedUndef) for residual in model.inlined([e.residual for e in model.constraints]))
 
 
-def telling_at_start(model: Model) -> tuple[bool, ...]:
-    """Whether each channel tells of what is learned where a trajectory starts, before anything has moved: it contains
+def informative_at_start(model: Model) -> tuple[bool, ...]:
+    """Whether each channel has information about what is learned at the start of a trajectory already: it contains
     a rate, a function or a constant that is learned, or a state whose initial value follows from such."""
     learned = {item.symbol for item in model.learnables}
 

@@ -10,7 +10,7 @@ import pytest
 import gbspec
 from gbspec.data.table import read_frame
 from gbspec.diagnostics import Findings, UserError
-from gbspec.ir import telling_at_start
+from gbspec.ir import informative_at_start
 from tests.texts import model_of
 
 ENZYME = """
@@ -111,4 +111,4 @@ observe c = flow
 observe d = x'
 observe e = f(x) + 1
 """
-    assert telling_at_start(model_of(text)) == (False, True, True, True, True)
+    assert informative_at_start(model_of(text)) == (False, True, True, True, True)

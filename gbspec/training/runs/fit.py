@@ -16,7 +16,7 @@ from gbspec.backends import INTERFACE, generate, load_module
 from gbspec.data import Trajectories, content_digest, scales_of, to_arrays
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import clear, finite, is_aside
-from gbspec.ir import AUTO, METHODS, Model, telling_at_start
+from gbspec.ir import AUTO, METHODS, Model, informative_at_start
 from gbspec.runs import (
     DAMAGED,
     DataRecord,
@@ -209,9 +209,9 @@ def _check_data(model: Model, trajectories: Trajectories, findings: Findings) ->
     if trajectories.measurements == 0:
         findings.error("GB856", "the data contain no measured value, so that nothing can be learned", None)
         return
-    telling = np.array(telling_at_start(model))
+    informative = np.array(informative_at_start(model))
     if any(
-        np.any(item.times > item.start) or np.isfinite(item.values[:, telling]).any() for item in trajectories.items
+        np.any(item.times > item.start) or np.isfinite(item.values[:, informative]).any() for item in trajectories.items
     ):
         return
     message = (

@@ -54,10 +54,14 @@ class Outlying:
     several: bool = False
 
     @property
+    def rows(self) -> int:
+        """How many there are."""
+        return sum(place.rows for place in self.places)
+
+    @property
     def together(self) -> bool:
         """Whether most of them have a neighbour among them."""
-        rows = sum(place.rows for place in self.places)
-        return 2 * sum(place.rows for place in self.places if place.rows > 1) > rows
+        return 2 * sum(place.rows for place in self.places if place.rows > 1) > self.rows
 
 
 def far_from_others(residuals: Array) -> Mask:
@@ -147,7 +151,7 @@ def said_of_outlying(
             continue
         if 1 - followed.r2 <= EXACT:
             continue
-        count = sum(place.rows for place in one.places)
+        count = one.rows
         are = "is" if count == 1 else "are"
         where = _where(one.places, model, one.several)
         begin = f"{count} of {followed.values} residuals of `{channel.name}` {are} far from all others ({where})"

@@ -35,7 +35,7 @@ from gbspec.training.recipe import (
     unstable_as_learned,
 )
 from gbspec.training.runs.moved_starts import moved_starts
-from gbspec.training.runs.outlying import Outlying, far_from_others, outlying_rows
+from gbspec.training.runs.outlying import Outlying, outlying_rows
 from gbspec.training.stages import StageName
 
 REPLICATED = 3
@@ -119,7 +119,11 @@ def summarise(
     names = [k.name for k in model.learnables]
     followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
     lacking = (noise_of.lack_of_fit(column, i) for i, column in enumerate(problem.valued.T))
-    channels = {name: replace(one, lack_of_fit=p) for (name, one), p in zip(followed.items(), lacking, strict=True)}
+    outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items)
+    channels = {
+        name: replace(one, lack_of_fit=p, outliers=outlying[name].rows if name in outlying else None)
+        for (name, one), p in zip(followed.items(), lacking, strict=True)
+    }
     lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
     return MemberResult(
         context.seed,
@@ -147,7 +151,7 @@ def summarise(
         scales=None if context.estimated is None else context.scaled(context.estimated),
         freedom=None if model.marginal else noise_of.freedom,
         tabled=_beside_tabled(noise_of, problem, model),
-        outlying=outlying_rows(model, problem, solution.mean, context.trajectories.items),
+        outlying=outlying,
     )
 
 
@@ -235,7 +239,6 @@ def _channels(
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
             *autocorrelation_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
-            outliers=int(far_from_others(residuals[rows, i]).sum()) or None,
             censored=limits_of(problem, i),
             averages=averages_of(problem, i),
         )
