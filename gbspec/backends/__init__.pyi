@@ -1,6 +1,7 @@
 from .base import Backend as Backend
 from .base import Refusal as Refusal
 from .casadi.evaluator import Evaluator as Evaluator
+from .casadi.steps import StepPlan as StepPlan
 from .module.algebraic import start_of as start_of
 from .module.layers import NetworkLayers as NetworkLayers
 from .module.layers import NetworkNumbers as NetworkNumbers

@@ -17,7 +17,8 @@ import polars as pl
 from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.far_outside import said_of_states
 from gbspec.analysis.prediction.followed import missed, said_of_starts
-from gbspec.analysis.prediction.members import MemberPredictions, hidden_states
+from gbspec.analysis.prediction.members import MemberPredictions
+from gbspec.analysis.prediction.nearby import hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import ORIGINS, Start
 from gbspec.analysis.prediction.trained import Trained
@@ -227,10 +228,9 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
     scales = run.fit.scales_for(run.model, trajectories)
     released = window is not None and window > 1
-    known = [run.certainties(number).covariance for number in run.numbers]
     each = [
-        MemberPredictions(Evaluator(member), run, trajectories, scales, covariance, released)
-        for member, covariance in zip(run.members, known, strict=True)
+        MemberPredictions(Evaluator(run.member(number)), run, trajectories, scales, number, released)
+        for number in run.numbers
     ]
     trained = Trained.of(run)
     present = present_values(run.model, trajectories).items
@@ -251,7 +251,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         members=len(each),
         time=run.model.time.name,
         warnings=(
-            *said_of_items(items, _narrow(run.model) if len(each) == 1 and known[0] is None else ""),
+            *said_of_items(items, _narrow(run.model) if len(each) == 1 and each[0].covariance is None else ""),
             *_without_effect(items, window),
             *said_of_starts(_missed(run, scales, present, items), REMEDY),
             *(said_of_training(run.fit.members) if any("predicted" in item.used for item in items) else ()),

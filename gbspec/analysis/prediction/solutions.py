@@ -173,7 +173,16 @@ def predict(
         )
     except ComputationError as error:
         return Prediction(item.label, start, item.times, *empty, f"{error.what} ({error.where})")
-    inputs = np.hstack([input_values(model, item, item.times), late])
+    return completed(evaluator, model, item, start, states, late)
+
+
+def completed(
+    evaluator: Evaluator, model: Model, item: Trajectory, start: Start, states: Array, late: Array | None = None
+) -> Prediction:
+    """The solution with the channels at its states [R, n]; `late` [R, d] are delayed values, which models without
+    delays do not have."""
+    inputs = input_values(model, item, item.times)
+    inputs = inputs if late is None else np.hstack([inputs, late])
     channels = evaluator.observe_many(item.times, states, item.condition, inputs, start.constants)
     if not np.isfinite(channels).all():
         return Prediction(item.label, start, item.times, states, channels, "a channel is not finite")

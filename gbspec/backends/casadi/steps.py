@@ -18,7 +18,7 @@ from gbspec.ir import METHODS, RK4, Method
 
 
 @dataclass(frozen=True)
-class Plan:
+class StepPlan:
     """Steps in order: times and sizes [n], inputs at the method's nodes [nodes, n, n_inputs], what is added to the
     state before each step [n, n_states]; `after` [n_times] is the number of steps before each output."""
 
@@ -38,7 +38,7 @@ def plan(
     n_inputs: int,
     method: Method = RK4,
     parts: int = 1,
-) -> Plan:
+) -> StepPlan:
     """Steps of a method, equal and at most `max_step` long between consecutive outputs and ends of segments.
 
     With `parts`, each of these steps is divided into as many: where inputs change often, a smaller `max_step` alone may
@@ -69,13 +69,17 @@ def plan(
                 jumps.append(jump)
                 jump = np.zeros(n_states)
             after[b] = len(times)
-    return Plan(
+    return StepPlan(
         np.array(times),
         np.array(sizes),
         np.array(inputs).reshape(len(times), len(nodes), n_inputs).swapaxes(0, 1),
         np.array(jumps).reshape(len(times), n_states),
         np.array([after[float(time)] for time in outputs], dtype=np.int64),
     )
+
+
+LONGEST = 256
+"""The most steps of one accumulated function: the time to build it grows with them."""
 
 
 class Stepper:
@@ -85,21 +89,28 @@ class Stepper:
         self._step = _step_function(instance)
         self._accumulated: dict[int, Casadi] = {}
 
-    def run(self, x0: Array, plan: Plan, condition: Array, constants: Array) -> Array:
+    def run(self, x0: Array, plan: StepPlan, condition: Array, constants: Array) -> Array:
         """States [n_times, n_states] at the plan's outputs."""
         n = len(plan.times)
         path = np.empty((n + 1, len(x0)))
         path[0] = x0
-        if n:
-            length = 1 << (n - 1).bit_length()
-            if length not in self._accumulated:
-                self._accumulated[length] = self._step.mapaccum(length)
-            columns = [plan.times[None], plan.sizes[None], *(u.T for u in plan.inputs), plan.jumps.T]
-            padded = [np.pad(block, ((0, 0), (0, length - n)), mode="edge") for block in columns]
-            padded[1][:, n:] = 0.0
-            constant = [np.repeat(v[:, None], length, axis=1) for v in (condition, constants)]
-            path[1:] = np.array(self._accumulated[length](x0, *padded, *constant)).T[:n]
+        columns = [plan.times[None], plan.sizes[None], *(u.T for u in plan.inputs), plan.jumps.T]
+        for first in range(0, n, LONGEST):
+            count = min(LONGEST, n - first)
+            part = [block[:, first : first + count] for block in columns]
+            path[first + 1 : first + count + 1] = self._run(path[first], part, condition, constants)
         return path[plan.after]
+
+    def _run(self, x0: Array, columns: Sequence[Array], condition: Array, constants: Array) -> Array:
+        """States [n, n_states] after each of n steps, which are columns of times, sizes, inputs and jumps."""
+        n = columns[0].shape[1]
+        length = 1 << (n - 1).bit_length()
+        if length not in self._accumulated:
+            self._accumulated[length] = self._step.mapaccum(length)
+        padded = [np.pad(block, ((0, 0), (0, length - n)), mode="edge") for block in columns]
+        padded[1][:, n:] = 0.0
+        constant = [np.repeat(v[:, None], length, axis=1) for v in (condition, constants)]
+        return np.asarray(np.array(self._accumulated[length](x0, *padded, *constant)).T[:n], dtype=np.float64)
 
 
 def _step_function(instance: GeneratedModule) -> Casadi:

@@ -11,6 +11,7 @@ from .holdout import held_out_score as held_out_score
 from .holdout import held_out_solutions as held_out_solutions
 from .planned import Planned as Planned
 from .planned import Reached as Reached
+from .planned import left_for_intervals as left_for_intervals
 from .planned import step_fraction as step_fraction
 from .planning import FIRST_RIDGE as FIRST_RIDGE
 from .planning import plan as plan

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.training.engines import Engine
@@ -54,6 +56,14 @@ class Planned:
     def due(self, reached: Reached) -> bool:
         """Whether the stage runs."""
         return self.possible(reached) and self.wanted(reached)
+
+
+def left_for_intervals(marks: Mapping[str, Array]) -> Array | None:
+    """The fit of whole solutions, if that of single intervals was kept in its place."""
+    if StageName.CHOICE not in marks:
+        return None
+    whole = marks.get(StageName.WEIGHTS, marks[StageName.AUTOREGRESSIVE])
+    return None if np.array_equal(marks[StageName.CHOICE], whole) else whole
 
 
 def step_fraction(begun: Sequence[str]) -> float:

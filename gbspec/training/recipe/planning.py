@@ -23,7 +23,7 @@ from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizon
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown, search_of_known, search_with_starts
 from gbspec.training.recipe.other_start import OtherStart
-from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
+from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, left_for_intervals, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.recipe.thresholds import PATIENCE as THRESHOLD_PATIENCE
@@ -173,8 +173,7 @@ class _Planner:
         if StageName.AS_ASKED in marks:
             return LastFit(self.parameters, self.blend, self.blend, self._regular, True)
         if StageName.AUTOREGRESSIVE in marks:
-            late = marks.get(StageName.WEIGHTS, marks[StageName.AUTOREGRESSIVE])
-            if np.array_equal(marks.get(StageName.CHOICE, late), late):
+            if left_for_intervals(marks) is None:
                 return LastFit(self.released, 0.0, 0.0, self._regular, True)
             return None if StageName.HORIZONS in marks else LastFit(self.released, 1.0, 1.0, self._prior, False)
         if StageName.TEACHER not in marks or StageName.HORIZONS in marks:

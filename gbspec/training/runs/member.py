@@ -26,6 +26,7 @@ from gbspec.training.recipe import (
     Context,
     Planned,
     Reached,
+    left_for_intervals,
     plan,
     recognition,
     said_of_switches,
@@ -33,6 +34,7 @@ from gbspec.training.recipe import (
 )
 from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
+from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.misjudged import without_misjudged
@@ -242,7 +244,9 @@ class _Runner:
     def _take_certainty(self, stage: Stage) -> None:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
         position = self.position
-        if isinstance(stage, InnovationsFit):
+        if left_for_intervals(position.marks) is not None:
+            position.certainty = Certainty(freedom=position.certainty.freedom)
+        elif isinstance(stage, InnovationsFit):
             position.certainty, said = without_loosened(stage.certainty(position.state), self.parameters)
             position.notes += said
         elif isinstance(stage, LevenbergMarquardt):
@@ -269,7 +273,7 @@ class _Runner:
             stage.name, position.iteration, outcome.loss, stage_seconds, outcome.remark or None, outcome.search
         )
         self._score()
-        names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]
+        names = [one.name for one in self.parameters.model.learnables]
         self.progress.update(
             Update(
                 self.member,
@@ -310,9 +314,6 @@ class _Runner:
         names = [k.name for k in self.parameters.model.learnables]
         return tuple(medians.get(name, float(x)) for name, x in zip(names, found, strict=True))
 
-    def _shared_names(self) -> list[str]:
-        return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
-
     def _seconds_left(self, stage: Stage) -> float | None:
         position, totals = self.position, {planned.name.value: planned.total for planned in self.plan}
         later = [p.name.value for p in self.plan[position.stage + 1 :] if p.name not in MAYBE]
@@ -352,11 +353,10 @@ class _Runner:
         with aside(path) as temporary:
             instance = type(self.context.module)(weights, sealed(info, weights, self._summary(result)))
             instance.save(temporary)
-        if position.finished:
-            result.left += self._unsteady(instance)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         factor = widening(result.channels)
         if position.finished:
+            result.left += self._unsteady(instance)
             known = certainties(self.context, self.parameters, position.best, names, instance)
             known = replace(known, covariance=shared) if marginal else known.widened(factor)
             known.write(self.directory)
@@ -368,12 +368,10 @@ class _Runner:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)
         result.history = list(position.history)
-        if not marginal:
-            for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
-                result.sd[name] = factor * float(deviation)
-            result.correlations = position.certainty.correlations
-        if position.certainty.own.shape == result.own_sd.shape:
-            result.own_sd = factor * position.certainty.own
+        take_deviations(result, self.parameters, position.certainty, factor)
+        left = left_for_intervals(position.marks)
+        if position.finished and left is not None:
+            result.sd |= deviations_of_kept(self.parameters, position.best, left, known.covariance)
         if position.finished and not marginal:
             for without in (without_tied, without_misjudged):
                 result.tied += without(result, self.context, self.parameters, position.best, names)
