@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 from gbspec.diagnostics import Findings, UserError
 from gbspec.semantics import (
@@ -138,7 +139,20 @@ def _converted(read: Merged, findings: Findings) -> Merged:
     evaluate = Evaluator(constants(places_of, rests, names, local), functions_of(names))
     terms = _terms(places_of, names, local)
     scales = _units(merged.items, places_of, names, rests, terms, evaluate, findings)
+    usable = _usable(places_of, rests)
+    for site in places_of:
+        if not usable(site.expression):  # its units were not looked at, since it has another error
+            scales.excuse(site.expression)
     return conversions.applied(read, scales, findings)
+
+
+def _usable(places_of: Sites, rests: graph.Graph) -> Callable[[ast.Expression], bool]:
+    """Whether an expression, and what it is computed from, has no error so far."""
+
+    def usable(expression: ast.Expression) -> bool:
+        return places_of.complete(expression) and rests.broken.isdisjoint(places_of[expression].references.names)
+
+    return usable
 
 
 def _units(
@@ -161,9 +175,7 @@ def _units(
         unit_rules.check_alone([unit for unit in clocks if unit is not None], findings)
         return conversions.Conversions()
 
-    def usable(expression: ast.Expression) -> bool:
-        return places_of.complete(expression) and rests.broken.isdisjoint(places_of[expression].references.names)
-
+    usable = _usable(places_of, rests)
     return unit_rules.check(items, names, rests.order, terms, evaluate, usable, places_of, findings)
 
 

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Findings
+from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import converts, rebuilt, with_expressions
 from gbspec.semantics.unification import factor_between
@@ -40,6 +41,12 @@ class Conversions:
         """Keeps a scale; False if the same text would need another one elsewhere."""
         known = self.found.setdefault(_key(node), scale)
         return known is None or scale is None or math.isclose(known.factor, scale.factor, rel_tol=1e-12)
+
+    def excuse(self, expression: ast.Expression) -> None:
+        """Leaves the conversions of an expression that has an error as they are."""
+        for node in walk(expression):
+            if isinstance(node, ast.Conversion):
+                self.found.setdefault(_key(node), None)
 
     def put(self, node: ast.Conversion, scale: Scale) -> None:
         """Replaces the scale of a number by that to the unit of its place."""

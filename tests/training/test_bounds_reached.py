@@ -44,7 +44,9 @@ def member(channel: ChannelRecord, k: float) -> MemberResult:
 @pytest.mark.parametrize(("k", "wanted"), [(2.0 - 1e-7, [("k", 2.0)]), (1e-6, [("k", 0.0)]), (1.9, []), (0.01, [])])
 def test_what_ended_at_a_bound(tmp_path: Path, k: float, wanted: list[tuple[str, float]]) -> None:
     (tmp_path / "m.gb").write_text(TEXT)
-    assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted
+    model = gbspec.load(tmp_path / "m.gb").model
+    assert at_bounds(model, {"k": k}) == wanted
+    assert at_bounds(model, {"k": k}, {"k": 0.0}) == wanted  # the map is flat at a bound: that is no knowledge
 
 
 @pytest.mark.parametrize(
@@ -132,7 +134,9 @@ def test_far_apart_bounds_are_reached_on_the_scale_of_logarithms(
     tmp_path: Path, k: float, wanted: list[tuple[str, float]]
 ) -> None:
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k in [1e-5, 1e5] = 0.03"))
-    assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted
+    model = gbspec.load(tmp_path / "m.gb").model
+    assert at_bounds(model, {"k": k}) == wanted
+    assert at_bounds(model, {"k": k}, {"k": 0.0}) == wanted  # the map is flat at a bound: that is no knowledge
 
 
 @pytest.mark.parametrize(
@@ -269,6 +273,20 @@ def test_a_bound_is_told_where_the_likelihood_of_a_population_ended_at_it(tmp_pa
     sd = fit.constants["b"].sd
     assert sd is not None, "that with `a` at its bound"
     assert sd == pytest.approx(fit.constants["b"].value / (2 * len(t)) ** 0.5, rel=0.02)
+
+
+def test_a_fit_whose_constants_ended_at_bounds_is_at_rest(tmp_path: Path) -> None:
+    """It is at its minimum within the bounds; narrower ones, or more effort, would not help."""
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k = 0.5 in [0.01, 1]"))
+    random, t = np.random.default_rng(2), np.arange(0.1, 3.0, 0.1)
+    x = np.exp(-2 * t) * (1 + 0.01 * random.standard_normal(len(t)))
+    (tmp_path / "d.csv").write_text("t,x\n" + "".join(f"{a},{b}\n" for a, b in zip(t, x, strict=True)))
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run").run.fit
+    assert fit.constants["k"].value == pytest.approx(1.0, rel=1e-6)
+    assert any("`k` ended at its bound 1" in text for text in fit.warnings)
+    assert any("autocorrelated" in text for text in fit.warnings)
+    assert any("follow `x` worse" in text and "what may help: wider bounds of `k`" in text for text in fit.warnings)
+    assert not any("come to rest" in text or "narrower" in text for text in fit.warnings)
 
 
 def test_a_disturbance_is_tied_to_the_rate_at_its_bound_and_the_mean_is_not(tmp_path: Path) -> None:

@@ -241,7 +241,7 @@ observe x
     [
         ((0.1, 0.2), ""),
         ((0.1, np.nan), "`k` has no interval in 1 of 2 trajectories (`b`): the fit has not come to rest there"),
-        ((np.nan, np.nan), "constants and functions have no intervals: the fit has not come to rest"),
+        ((np.nan, np.nan), "constants have no intervals: the fit has not come to rest"),
     ],
 )
 def test_constants_of_trajectories_have_intervals_of_their_own(own_sd: tuple[float, float], said: str) -> None:

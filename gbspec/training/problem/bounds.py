@@ -117,7 +117,8 @@ class Bijection:
         """
         for bound in (self.low, self.high) if self.low < self.high else ():
             distance, width = self.distance(value, bound), self.share(value, sd)
-            near = distance < NEAR and not abs(value - bound) > CLEAR * sd
+            # A deviation of zero says that the map is flat there, not that the constant is known.
+            near = distance < NEAR and not (sd > 0 and abs(value - bound) > CLEAR * sd)
             beside = distance < BESIDE * width and (width < NARROW or distance < CLOSE)
             if near or beside or (distance < FAR * width and width < FELT):
                 return bound

@@ -90,6 +90,8 @@ class MemberResult:
     """Where channels have residuals that are far from all others, and leave most of the sum of squares."""
     vanished: frozenset[str] = frozenset()
     """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
+    bounded: frozenset[str] = frozenset()
+    """Shared constants that ended at bounds, and those that are tied to them."""
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
 

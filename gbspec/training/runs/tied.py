@@ -77,6 +77,7 @@ def without_tied(
     ended = [context.model.learnables[i].name for i in parameters.shared if context.model.learnables[i].name in at]
     if not ended or context.model.diffusions:
         return []
+    result.bounded |= frozenset(ended)
     blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
     tied = tied_to_bounds(engine, theta, ended)
@@ -90,6 +91,7 @@ def without_tied(
             context, engine, theta, {name: at[name] for name in ended}, _intervals(result, context), threshold
         )
         result.sd |= {one.name: math.nan for one in followed}
+    result.bounded |= frozenset((*tied, *(one.name for one in followed)))
     # Profiles of models with learned noises are not offered.
     helps = HELPS if context.model.marginal else f"{SHOWN}. {HELPS}"
     return [*said_of_tied(tied, ended, helps), *(f"{one.words}. {helps}" for one in followed)]

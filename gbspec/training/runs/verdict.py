@@ -4,7 +4,7 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from scipy.special import chdtr
 from sympy.core.function import AppliedUndef
@@ -58,10 +58,15 @@ REMEDIES_OF_KNOWN_FORMS = (
 )
 
 
-def verdicts(channels: Mapping[str, ChannelRecord], model: Model | None = None) -> list[str]:
+def verdicts(
+    channels: Mapping[str, ChannelRecord], model: Model | None = None, bounded: Iterable[str] = ()
+) -> list[str]:
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
-    leave more than half of the variance."""
+    leave more than half of the variance; `bounded` are the constants that ended at bounds, or are tied to one."""
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
+    if names := " and ".join(f"`{name}`" for name in sorted(bounded)):
+        wider = f"what may help: wider bounds of {names}, if values beyond them are plausible, "
+        remedies = remedies.replace("what may help: ", wider).replace("narrower bounds or ", "")
     out = []
     for name, found in channels.items():
         if found.r2 is None:
@@ -300,21 +305,25 @@ def _rounded_p(value: float | None) -> str:
 _OVERSTATED = "the likelihood takes them for independent nevertheless, so that its intervals are too narrow"
 
 
-def unrested(channels: Mapping[str, ChannelRecord], ended: str) -> list[str]:
-    """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself)."""
+def unrested(
+    channels: Mapping[str, ChannelRecord], ended: str, functions: bool = True, bounded: bool = False
+) -> list[str]:
+    """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself); whether it
+    has unknown `functions`, and whether constants ended at bounds (`bounded`), which narrower ones would not help."""
     found = autocorrelated(channels, VISIBLE)
     if not found and all(one.r2 is None or 1 - one.r2 <= VISIBLE for one in channels.values()):
         return []
+    narrower = "" if bounded else "narrower bounds, "
     if not found:
         return [
-            f"constants and functions have no intervals: the fit has not come to rest{ended}, or its equations are "
-            "numerically singular. Its constants may be far from the best ones. What may help: `--effort high`, "
-            "another `--seed`, narrower bounds, or `--solver ros34pw2` where solutions change fast"
+            f"constants {'and functions ' if functions else ''}have no intervals: the fit has not come to rest{ended}, "
+            "or its equations are numerically singular. Its constants may be far from the best ones. What may help: "
+            f"`--effort high`, another `--seed`, {narrower}or `--solver ros34pw2` where solutions change fast"
         ]
     return [
         f"the residuals of {_listed(found, channels)} are autocorrelated, and the fit has not come to rest{ended}: "
         "they are errors of the fit or of the model, not noise of measurement, and constants have no intervals. What "
-        "may help: `--effort high`, `--members 5`, narrower bounds, ranges of unmeasured states, or another model"
+        f"may help: `--effort high`, `--members 5`, {narrower}ranges of unmeasured states, or another model"
     ]
 
 

@@ -25,7 +25,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
         if not result.finished:
             whole.append(f"member {member}: training was interrupted; `--resume` continues it")
         blown = [verdict.blown_up(result.failed)] if result.failed else []
-        followed = verdict.verdicts(result.channels, model)
+        followed = verdict.verdicts(result.channels, model, result.bounded)
         whole += [f"member {member}: {text}" for text in (*blown, *followed, *result.left, *result.notes)]
         left = [*verdict.lacking(result.channels), *_of_residuals(result, options, model)]
         if model is not None:
@@ -42,9 +42,10 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     if result.likelihood is not None:
         return [*far, *verdict.innovations(result.channels or {}, result.likelihood, model)]
     own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
-    shared = [sd for name, sd in result.sd.items() if name not in own]
-    deviations = np.array(shared) if shared else result.own_sd
-    if not deviations.size or np.isfinite(deviations).any() or result.misjudged:
+    shared = {name: sd for name, sd in result.sd.items() if name not in own}
+    deviations = np.array(list(shared.values())) if shared else result.own_sd
+    at_rest = result.misjudged or (shared and shared.keys() <= result.bounded)  # what has no interval is told by itself
+    if not deviations.size or np.isfinite(deviations).any() or at_rest:
         return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
     if model is not None and model.marginal:
         return []
@@ -55,4 +56,5 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         most = most_iterations(stage.name, options.effort)
         if most > 1:
             ended = f" (`{stage.name}` ended after its {most} iterations)" if stage.iterations == most else ""
-    return [*far, *verdict.unrested(result.channels, ended)]
+    functions = model is None or bool(model.networks)
+    return [*far, *verdict.unrested(result.channels, ended, functions, bool(result.bounded))]
