@@ -53,8 +53,15 @@ class InitialStates:
 CLEARLY = 3.0
 """A mean of squares is clearly larger than another one if it is so by this many standard deviations."""
 
+TINY = 1e-300
+"""The least loss that is divided by."""
+
 MUCH = 0.9
 """A loss of whole solutions below this part of another one is told."""
+
+
+DISTURBED = 2.0
+"""Systems count as disturbed where the loss of whole solutions is more than this many times that of intervals."""
 
 
 class ChoiceOfFit:
@@ -63,7 +70,13 @@ class ChoiceOfFit:
     Fits of whole solutions treat measurement noise correctly. But if the system itself is disturbed, or the model is
     incomplete, it may be impossible to fit whole solutions, and intervals are more informative about the dynamics.
     Therefore both errors are computed for both fits (with initial states refitted for whole solutions), and the fit
-    with the smaller product of its errors is chosen: only ratios of errors matter, not their sizes. One step.
+    with the smaller product of its errors is chosen: only ratios of errors matter, not their sizes.
+
+    Where disturbances are clearly larger than the noise, residuals of whole solutions gather what happened between all
+    rows before: with g the loss of whole solutions divided by that of intervals, they tell about as much as n/g
+    independent ones would, and a fit of them follows disturbances that another record will not have. There the fit of
+    intervals is also kept if its loss of whole solutions is less than sqrt(g) times the other one's (measured:
+    docs/studies/choice.md). One step.
 
     `short` gives the loss of intervals, or of short segments, at a vector; `earlier` is the fit of these. Of noisy data
     without disturbances the loss of whole solutions is at most about `margin` times that.
@@ -91,7 +104,9 @@ class ChoiceOfFit:
             return Outcome(state, whole, True)
         refitted = refit_starts(self.free, self.earlier, self.seed)
         other_interval, other_whole = self._losses(self.earlier, refitted)
-        if _product(other_interval, other_whole) < _product(interval, whole):
+        gathered = whole / max(self.margin * other_interval, TINY)
+        disturbed = gathered > DISTURBED and other_whole < np.sqrt(gathered) * whole
+        if disturbed or _product(other_interval, other_whole) < _product(interval, whole):
             kept = f"{WHOLE_WORSE}; the fit of intervals was kept{_instead(whole, other_whole)}"
             return Outcome({"theta": refitted}, other_interval, True, kept)
         return Outcome(state, whole, True, WHOLE_WORSE)
