@@ -149,6 +149,7 @@ def test_fits_are_stored_and_reused(place: Path, here: Path, monkeypatch: pytest
         raise AssertionError("a fit was made again")
 
     with monkeypatch.context() as patched:
+        patched.setattr("gbspec.training.profile.refits.minimise", refuse)
         patched.setattr("gbspec.training.profile.likelihood.minimise", refuse)
         assert json.loads(call("profile", "run", "b", *data).stdout) == whole
     # A damaged stored file is not used

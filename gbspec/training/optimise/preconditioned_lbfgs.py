@@ -81,8 +81,14 @@ class Penalised:
         return np.asarray(theta[: self.parameters.n_weights] - self.center, dtype=np.float64)
 
     def equations(self, theta: Array) -> NormalEquations:
-        """The normal equations at a vector, priors and ridge included."""
-        system = self.priors.with_rows(linearise(self.engine, theta), theta)
+        """The normal equations at a vector, priors and ridge included.
+
+        Raises LinAlgError if the solution there is not finite.
+        """
+        found = linearise(self.engine, theta)
+        if len(found.shared) < len(found.residuals):
+            raise np.linalg.LinAlgError("the solution is not finite")
+        system = self.priors.with_rows(found, theta)
         around = theta.copy()
         around[: self.parameters.n_weights] -= self.center
         return NormalEquations(system, self.parameters, np.ones(len(system.residuals)), self.ridge, around)

@@ -26,6 +26,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
+from gbspec.diagnostics import ComputationError
 from gbspec.runs import ProfileRecord, Run, quantile, write_profile
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import (
@@ -42,6 +43,7 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijection, Parameters, Problem, typical
 from gbspec.training.profile.agreement import Found, compared, narrowing
 from gbspec.training.profile.possible import check
+from gbspec.training.profile.refits import AGAIN, WEAK, Follower, Refit, Refits
 from gbspec.training.profile.result import Profile, ProfilePoint
 from gbspec.training.profile.side import Known, Side, closely
 from gbspec.training.profile.store import Kept
@@ -52,16 +54,10 @@ WIDEST = 0.5
 """Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
 INSIDE = 1e-3
 """Fits begin with constants off their bounds by this share of the range."""
-ACCURACY = 0.01
-"""A fit has converged if its deviance is not predicted to decrease by more than this."""
-AGAIN = 12
-"""Number of steps with one Jacobian before the next is computed."""
 TIGHTER, MOST_TIGHTER = 10.0, 6
 """The factor by which the precision of the weights' prior is raised, and the largest number of times."""
 ROUNDS = 8
 """Iterations of the evidence at one linearisation."""
-WEAK = 1e-2
-"""Damping, as a multiple of the noise's variance, for directions that are undetermined."""
 CLEAN = 1e-6
 """The smallest standard deviation of the noise used for the deviance, in standard deviations of the data."""
 
@@ -85,7 +81,11 @@ def profile_constant(
     check(run.model, name)
     number = run.best if member is None else member
     profiler = _Profiler(run, name, trajectories, number, iterations)
-    best = profiler.estimate()
+    try:
+        best = profiler.estimate()
+    except np.linalg.LinAlgError as error:
+        what = f"the profile of `{name}` cannot be started: derivatives at the estimate are not finite"
+        raise ComputationError(what, remedy="train again with a smaller `--max-step`") from error
     found = [best]
     for direction in (-1.0, 1.0):
         found += _side(profiler, best, direction, points, progress)
@@ -114,6 +114,8 @@ class _Fitted:
     theta: Array
     objective: float
     converged: bool
+    fraction: float = 1.0
+    exact: bool = True
 
 
 class _Profiler:
@@ -139,6 +141,8 @@ class _Profiler:
         self.begin = self._vector(self.parameters, self.free)
         self.kept = Kept.of(run, member, name, trajectories)
         self.notes: list[str] = []
+        self.failed: dict[float, float] = {}
+        """The value at which nothing could be fitted, by the direction from the estimate."""
         self.variance, self.deviation, self.narrowed = 1.0, 0.0, 0.0
 
     def estimate(self) -> _Fitted:
@@ -158,10 +162,11 @@ class _Profiler:
         self.variance = max(noise_variance(engine.problem, residuals, float("inf"), freedom), CLEAN**2)
         self.target = self._penalised(self.target.ridge, self.variance)
         self.found, self.anchor = rest.theta, self._anchor(rest.theta)
+        self.refits = Refits(self._at_step, rest, self.anchor, self.column, self._follower())
         self.deviation = math.sqrt(self.anchor.variance * self.variance)
         if self.target.ridge > first.ridge:
             self._compare(first, rest.theta)
-        return self._fitted(rest)
+        return self._fitted(Refit(rest))
 
     def _freedom(self, problem: Problem, equations: NormalEquations, residuals: Array) -> float:
         """Degrees of freedom that the fit has used; sets the equations' ridge to that of greatest evidence."""
@@ -178,21 +183,24 @@ class _Profiler:
     def _settled(self, theta: Array) -> Rest:
         """The fit with all parameters free, under the weakest prior around the run's weights with which it
         converges."""
-        enough = 0.5 * ACCURACY * self.variance
+        enough = self._follower().enough
         ridges = [self.target.ridge * TIGHTER**k for k in range(MOST_TIGHTER if self.parameters.n_weights else 1)]
         for ridge in ridges:
             known = self.kept.find(None, ridge)
             if known is not None:
                 self.target = replace(self.target, ridge=ridge)
-                return known
+                return known.rest
         for ridge in ridges:
             self.target = replace(self.target, ridge=ridge)
             anchor = Anchor(self.target.equations(theta), WEAK * self.variance, None)
             rest = minimise(self.target, anchor, theta, enough, AGAIN)
             if rest.promised <= enough:
-                self.kept.add(None, ridge, rest)
+                self.kept.add(None, ridge, Refit(rest))
                 return rest
-        return self._followed(theta, None, None)
+        return self._follower().followed(self.target, theta, None, None)
+
+    def _follower(self) -> Follower:
+        return Follower(self.variance, self.iterations, bool(self.parameters.n_weights))
 
     def _compare(self, first: Penalised, theta: Array) -> None:
         """Notes the effect of a tighter prior on the interval, according to the linearised fits."""
@@ -202,8 +210,12 @@ class _Profiler:
         self.narrowed = 1 - before / wide
         self.notes.append(narrowing(self.target.ridge / first.ridge, self.narrowed))
 
-    def _penalised(self, ridge: float, variance: float) -> Penalised:
-        problem = self.free.problem(0.0)
+    def _at_step(self, fraction: float) -> Penalised:
+        """The objective at a fraction of the fit's step."""
+        return self.target if fraction == 1.0 else self._penalised(self.target.ridge, self.variance, fraction)
+
+    def _penalised(self, ridge: float, variance: float, fraction: float = 1.0) -> Penalised:
+        problem = self.free.problem(0.0, fraction)
         problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(variance)))
         return Penalised(
             self.free.choice.engine(problem, self.parameters), ridge, self.begin[: self.parameters.n_weights]
@@ -217,10 +229,10 @@ class _Profiler:
         known = self.kept.find(entry, self.target.ridge)
         if known is not None:
             return self._fitted(known)
-        rest = self._followed(self._along_path(neighbour.theta, entry), self.anchor, self.column)
-        if self._at_rest(rest):
-            self.kept.add(entry, self.target.ridge, rest)
-        return self._fitted(rest)
+        made = self.refits.held(entry, self._along_path(neighbour.theta, entry), neighbour.fraction)
+        if made.exact and self._follower().at_rest(made.rest):
+            self.kept.add(entry, self.target.ridge, made)
+        return self._fitted(made)
 
     def _along_path(self, theta: Array, entry: float) -> Array:
         """The vector on the linear path from a vector to where the constant has its entry at `entry`. Constants that
@@ -235,23 +247,10 @@ class _Profiler:
         out[places] = np.where(bent, maps.from_natural(inside), out[places])
         return out
 
-    def _followed(self, theta: Array, anchor: Anchor | None, held: int | None) -> Rest:
-        """Iterates until convergence, or as often as allowed, with a new Jacobian whenever the last one is too far
-        away."""
-        enough, left = 0.5 * ACCURACY * self.variance, self.iterations
-        while True:
-            anchor = anchor or Anchor(self.target.equations(theta), WEAK * self.variance, held)
-            rest = minimise(self.target, anchor, theta, enough, min(AGAIN, left))
-            left -= max(rest.steps, 1)
-            if rest.promised <= enough or left <= 0:
-                return rest
-            theta, anchor = rest.theta, None
-
-    def _at_rest(self, rest: Rest) -> bool:
-        return 2 * rest.promised <= ACCURACY * self.variance
-
-    def _fitted(self, rest: Rest) -> _Fitted:
-        return _Fitted(self.natural(rest.theta), rest.theta, rest.objective, self._at_rest(rest))
+    def _fitted(self, made: Refit) -> _Fitted:
+        rest = made.rest
+        converged = self._follower().at_rest(rest)
+        return _Fitted(self.natural(rest.theta), rest.theta, rest.objective, converged, made.fraction, made.exact)
 
     def natural(self, theta: Array) -> float:
         """The constant's value."""
@@ -272,6 +271,12 @@ class _Profiler:
         starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
         kept = (self.free.start_free == 0) & [not state.initial.known for state in self.model.states]
         return starts.shape == kept.shape and not np.allclose(starts[kept], self.free.start_value[kept], rtol=1e-9)
+
+    @property
+    def holds_measured_starts(self) -> bool:
+        """Whether measured initial states keep their values in the refits."""
+        measured = [state.initial.kind == "measured" for state in self.model.states]
+        return bool(np.any((self.parameters.start_free == 0) & ~self.free.absent & measured))
 
     def _fixed(self) -> dict[str, Array]:
         """The arrays of the networks in the weights file that are not trained."""
@@ -307,8 +312,11 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
         neighbour = found[min(found, key=lambda one: abs(one - place))]
         here = profiler.held(float(best.theta[profiler.column]) + place * stride, neighbour)
         outwards = outwards or here.value - best.value
+        if not math.isfinite(here.objective):
+            profiler.failed[direction] = here.value
+            break
         # The map of a constant whose starting value is on its bound turns back there.
-        if not math.isfinite(here.objective) or not (here.value - found[side.inside.place].value) * outwards > 0:
+        if not (here.value - found[side.inside.place].value) * outwards > 0:
             break
         found[place] = here
         deviance = 2.0 * (here.objective - best.objective) / profiler.variance
@@ -328,7 +336,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
                      one.converged)
         for one in fits
     )  # fmt: skip
-    notes, at = list(profiler.notes), fits.index(least)
+    notes, at = [*profiler.notes, *_said_of_fits(fits, profiler)], fits.index(least)
     level = math.sqrt(profiler.threshold)
     sides = {"lower": points[at::-1], "upper": points[at:]}
     low, high = (_crossing(side, level) for side in sides.values())
@@ -338,10 +346,11 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
         notes.append(f"{slow} of {len(points)} fits have not converged, so that their deviances are too large and no "
                      "interval can be given: allow more `--iterations`")  # fmt: skip
     else:
-        open_sides = [side for side, end in (("below", low), ("above", high)) if end is None]
+        ends = (("below", low, -1.0), ("above", high, 1.0))
+        open_sides = [side for side, end, sign in ends if end is None and sign not in profiler.failed]
         notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
         notes += [text for which, side in sides.items() for text in _said_of_gap(which, side, level)]
-    if np.any(profiler.free.start_free == 0) and any(s.initial.kind == "measured" for s in profiler.model.states):
+    if profiler.holds_measured_starts:
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:
         notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
@@ -349,6 +358,26 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
         notes.append(f"residuals are autocorrelated: the interval is {profiler.widening:.2g} times as wide for it")
     noise = math.sqrt(profiler.variance)
     return Profile(name, member, least.value, points, low, high, noise, tuple(notes), profiler.threshold)
+
+
+def _said_of_fits(fits: list[_Fitted], profiler: _Profiler) -> list[str]:
+    """Sentences on values that could not be fitted, and on the steps of fits."""
+    name, notes = profiler.name, []
+    for value in profiler.failed.values():
+        notes.append(f"nothing could be fitted with {name} = {value:.4g}: the profile ends before it on this side")
+    finer = [one for one in fits if one.fraction < 1.0]
+    if finer:
+        values = ", ".join(f"{one.value:.4g}" for one in finer)
+        free, least = profiler.free, min(one.fraction for one in finer)
+        what, size = ("largest step", "max_step") if free.tolerance() is None else ("tolerance", "tolerance")
+        was, now = free.steps(1.0)[size], free.steps(least)[size]
+        notes.append(
+            f"the {what} of {was:.3g} of the fit is too large for {name} = {values}: there it is down to {now:.3g}"
+        )
+    unsure = ", ".join(f"{one.value:.4g}" for one in fits if not one.exact)
+    if unsure:
+        notes.append(f"with {name} = {unsure} the deviance depends on the solver's step: do not rely on it")
+    return notes
 
 
 def _enclosing(points: tuple[ProfilePoint, ...], level: float) -> tuple[Known, Known] | None:

@@ -12,8 +12,9 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.runs import Run, files
 from gbspec.training.optimise import Rest
+from gbspec.training.profile.refits import Refit
 
-FORMAT = "1"
+FORMAT = "2"
 """To be changed with the definition of a fit, so that older fits are not reused."""
 
 
@@ -26,7 +27,7 @@ class Kept:
 
     path: Path
     mark: str
-    fits: dict[str, Rest]
+    fits: dict[str, Refit]
 
     @staticmethod
     def of(run: Run, member: int, name: str, trajectories: Trajectories) -> Kept:
@@ -39,15 +40,18 @@ class Kept:
         kept._read()
         return kept
 
-    def find(self, entry: float | None, ridge: float) -> Rest | None:
+    def find(self, entry: float | None, ridge: float) -> Refit | None:
         """The fit with the constant's entry of the vector at `entry` (None: free), if there is one."""
         return self.fits.get(_key(entry, ridge))
 
-    def add(self, entry: float | None, ridge: float, rest: Rest) -> None:
+    def add(self, entry: float | None, ridge: float, made: Refit) -> None:
         """Stores a fit and writes the file immediately."""
-        self.fits[_key(entry, ridge)] = rest
-        arrays: dict[str, Array] = {f"theta.{key}": one.theta for key, one in self.fits.items()}
-        numbers = {key: [one.objective.hex(), one.promised.hex(), one.steps] for key, one in self.fits.items()}
+        self.fits[_key(entry, ridge)] = made
+        arrays: dict[str, Array] = {f"theta.{key}": one.rest.theta for key, one in self.fits.items()}
+        numbers = {
+            key: [one.rest.objective.hex(), one.rest.promised.hex(), one.rest.steps, one.fraction]
+            for key, one in self.fits.items()
+        }
         files.write_tensors(self.path, arrays, {"mark": self.mark, "fits": numbers})
 
     def _read(self) -> None:
@@ -58,9 +62,10 @@ class Kept:
         except ValueError:
             return
         if remarks.get("mark") == self.mark:
-            for key, (objective, promised, steps) in remarks["fits"].items():
+            for key, (objective, promised, steps, fraction) in remarks["fits"].items():
                 theta = arrays[f"theta.{key}"]
-                self.fits[key] = Rest(theta, float.fromhex(objective), float.fromhex(promised), int(steps))
+                rest = Rest(theta, float.fromhex(objective), float.fromhex(promised), int(steps))
+                self.fits[key] = Refit(rest, float(fraction))
 
 
 def _key(entry: float | None, ridge: float) -> str:
