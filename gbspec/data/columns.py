@@ -49,6 +49,11 @@ LABELS = frozenset(
     }
 )
 """Names of columns, in lower case, that may tell experiments apart."""
+TIMES = frozenset(
+    {"t", "time", "times", "timestamp", "datetime", "date", "day", "days", "hour", "hours", "h", "hr", "min", "minute"}
+    | {"minutes", "s", "sec", "second", "seconds", "week", "weeks", "month", "months", "year", "years", "age", "tad"}
+)
+"""Names of columns, in lower case, that may hold the time."""
 
 
 @dataclass(frozen=True)
@@ -136,14 +141,14 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
     time = _time(sheet, model, taken)
     spare = [name for name in sheet.names if name not in taken and name not in (time, TRAJECTORY)]
     if time is None:
-        _missing(sheet, model.time.name, "the time", spare, findings, ())
+        _missing(sheet, model.time.name, "the time", spare, findings, (), _other_time(sheet, model, spare))
         return None
     trajectory = TRAJECTORY if TRAJECTORY in present and TRAJECTORY not in taken else None
     told = {SUBJECT} if trajectory is not None and any(k.by_subject for k in model.learnables) else set[str]()
     spare = [name for name in spare if name not in told]  # `subjects` says what there is to say
     if long:
         spare = [name for name in sheet.names if name not in (time, trajectory, *LONG, "sd", *told)]
-        _surplus(sheet, spare, (), findings, {})
+        _surplus(sheet, spare, (), findings, _unnamed_labels(spare, trajectory))
         return Layout(True, time, trajectory, wanted, unread_infusions(model))
     columns = tuple(quantity for quantity in wanted if quantity.column in present)
     absent = [quantity for quantity in wanted if quantity.lacks(present)]
@@ -152,7 +157,8 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
         other = _instead(sheet, model, quantity, absent, spare)
         suggested |= _missing(sheet, quantity.column, describe(quantity), spare, findings, _notes(quantity), other)
     optional = [q.column for q in wanted if not q.required and q.column not in present]
-    _surplus(sheet, [name for name in spare if name not in suggested], optional, findings, unread_infusions(model))
+    remedies = {**_unnamed_labels(spare, trajectory), **unread_infusions(model)}
+    _surplus(sheet, [name for name in spare if name not in suggested], optional, findings, remedies)
     return Layout(False, time, trajectory, columns)
 
 
@@ -188,6 +194,38 @@ def describe(quantity: Quantity) -> str:
             return f"the {quantity.role} `{quantity.name}`"
         case role:
             assert_never(role)
+
+
+def labelling(name: str) -> bool:
+    """Whether a column of that name may tell experiments apart."""
+    return name.casefold() in LABELS or similar(name, [TRAJECTORY]) is not None
+
+
+def _unnamed_labels(spare: Iterable[str], trajectory: str | None) -> dict[str, str]:
+    """What is said of columns that are not used and may tell trajectories apart, where none is read for that."""
+    if trajectory is not None:
+        return {}
+    return {
+        name: f"does it tell trajectories apart? There is no column `{TRAJECTORY}`, so that all rows are one "
+        f"trajectory: rename the column `{TRAJECTORY}`"
+        for name in spare
+        if labelling(name)
+    }
+
+
+def _other_time(sheet: Sheet, model: Model, spare: list[str]) -> tuple[str, str] | None:
+    """A column that is not used and by its name holds the time, with what can be written."""
+    known = model.time.name.casefold()
+    found = [name for name in spare if name.casefold() == known or name.casefold() in TIMES]
+    if not found:
+        return None
+    name = min(found, key=lambda each: each.casefold() != known)
+    help = f"does `{name}` hold it? Rename the column `{model.time.name}`"
+    if name.isidentifier():
+        help += f", or the time of the model, `time {name}`"
+    if not _has_numbers(sheet, name):
+        help += "; times are numbers, such as days since the first row"
+    return name, help
 
 
 def _notes(quantity: Quantity) -> tuple[str, ...]:

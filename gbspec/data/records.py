@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
 from gbspec.data.cells import categories, coded, labels, numbered, numbers
-from gbspec.data.columns import LABELS, TRAJECTORY, Layout, Quantity, describe
+from gbspec.data.columns import TRAJECTORY, Layout, Quantity, describe, labelling
 from gbspec.data.limits import Sides, measured, sides
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import SHOWN, Sheet, shown
@@ -180,7 +180,7 @@ def _unnamed(sheet: Sheet, layout: Layout) -> str:
         return ""
     read = {quantity.column for quantity in layout.columns} | {layout.time}
     others = [name for name in sheet.columns if name not in read]
-    like = next((name for name in others if name.casefold() in LABELS or similar(name, [TRAJECTORY])), None)
+    like = next(filter(labelling, others), None)
     remedy = f"rename `{like}`, if it is one" if like else "add one with a label for each experiment"
     return f"there is no column `{TRAJECTORY}`, so that all rows are one experiment: {remedy}, or sort the rows by time"
 

@@ -36,7 +36,7 @@ class Switched:
 
 def with_switches(model: Model) -> Switched:
     """The Model with the switches of its right-hand sides. Those that depend on the time, conditions and held inputs
-    alone are no business of it: steps end there anyway."""
+    alone are no business of it: steps end there anyway, unless what is learned decides the time."""
     if not any(value.has(*_KINDS) for value in (*model.balances, *(item.value for item in model.intermediates))):
         return Switched(None)
     rewriting = _Rewriting(model)
@@ -88,6 +88,7 @@ class _Rewriting:
         moving = {state.symbol for state in model.states if not state.discrete}
         moving |= {item.symbol for item in model.algebraics} | {item.symbol for item in model.delays}
         self._moving = moving | {item.symbol for item in model.inputs if item.interpolation == "linear"}
+        self._learned = {item.symbol for item in model.learnables}
 
     def balances(self) -> tuple[Expr, ...]:
         """All right-hand sides; intermediates that hold switches are written out in them, since channels and events see
@@ -139,7 +140,8 @@ class _Rewriting:
         """What is positive on one side of the switch where `guard` passes zero (`held`: as it is where other switches
         are held); None where no step is cut at it."""
         inlined = self.model.inlined([guard])[0]
-        if not inlined.free_symbols & self._moving:
+        free = inlined.free_symbols
+        if not free & self._moving and not (self.model.time.symbol in free and free & self._learned):
             return None
         unknown, jumps = inlined.atoms(AppliedUndef), inlined.has(sympy.floor)
         if unknown or jumps:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.merge import Item
@@ -58,9 +58,21 @@ def observed_names(items: Iterable[Item]) -> set[str]:
     }
 
 
-def only_compared(sites: Sites, observed: set[str], table: Table, findings: Findings) -> None:
-    """Warns of learnables that occur only in conditions, `sign`, `floor` or `ceil`: without a gradient they cannot be
-    learned."""
+_LEARNED: Mapping[str, str] = {
+    "": "training learns it where a state, or the time, passes it, since steps end there then; a lag of doses is "
+    "written `dose … lag {0}`; else let it enter smoothly",
+    "likelihood": "the likelihood of distributions and learned noises has no derivative by it: training only tries "
+    "values of it (not beside unknown functions), and gives no interval. If it is a lag, write `dose … lag {0}`, which "
+    "has one; else let it enter smoothly",
+    "disturbances": "beside `diffusion` the likelihood has no derivative by it, so that it stays at its start: let it "
+    "enter smoothly",
+}
+"""What training makes of learnables that occur only where values jump, by `populations.without_cuts`."""
+
+
+def only_compared(sites: Sites, observed: set[str], table: Table, findings: Findings, without_cuts: str) -> None:
+    """Warns of learnables that occur only in conditions, `sign`, `floor` or `ceil`, whose gradient is zero but where
+    steps end at the jumps (`without_cuts`: why they do not)."""
     values = {site.owner: site for site in sites if site.owner is not None}
     reached: dict[bool, set[str]] = {True: set(), False: set()}
     for smooth, found in reached.items():
@@ -83,8 +95,8 @@ def only_compared(sites: Sites, observed: set[str], table: Table, findings: Find
                 f"`{name}` occurs only where values jump, so that only the times of jumps depend on it",
                 declaration.span,
                 labels=[Label(span, "in a comparison, or in a function that jumps") for span in places[:4]],
-                help="training learns it where a state passes it, since steps end there then; else let it enter "
-                f"smoothly, for example by `1/(1 + exp(-(x - {name})/width))`, or make it a `const`",
+                help=_LEARNED[without_cuts].format(name)
+                + f", for example by `1/(1 + exp(-(x - {name})/width))`, or make it a `const`",
                 subject=name,
             )
 

@@ -42,6 +42,7 @@ class StageName(StrEnum):
     POOLED = "pooled fit"
     POOLED_AGAIN = "pooled fit again"
     MARGINAL = "marginal likelihood"
+    JUMPS = "times of jumps"
     QUADRATURE = "quadrature"
     LBFGS = "lbfgs"
     INNOVATIONS = "innovations"

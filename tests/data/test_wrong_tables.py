@@ -185,6 +185,30 @@ def test_the_only_column_of_numbers_may_be_the_channel(reading: Reader, text: st
     assert not any(d.code == "GB711" and d.subject == "od600" for d in findings if "Write" in findings[0].help)
 
 
+@pytest.mark.parametrize("name", ["Trajectory", "Subject", "ID", "TRAJECTORY"])
+def test_a_column_that_may_tell_trajectories_apart_is_told(reading: Reader, name: str) -> None:
+    for text in (f"{name},t,x1,x2,Da\na,0,.5,1,.3\na,1,.5,1,.3\nb,5,.5,1,.3\n", f"{name},t,name,value\na,0,x1,1\n"):
+        found = next(d for d in reading(text)[1] if d.code == "GB711" and d.subject == name)
+        assert "all rows are one trajectory" in found.help and "rename the column `trajectory`" in found.help
+    _, findings = reading(f"trajectory,{name}1,t,x1,x2,Da\na,a,0,.5,1,.3\na,a,1,.5,1,.3\n")
+    assert [d.help for d in findings if d.code == "GB711"] == [""]
+
+
+@pytest.mark.parametrize(
+    ("column", "first", "said"),
+    [
+        ("Time", "0", "does `Time` hold it? Rename the column `t`, or the time of the model, `time Time`"),
+        ("T", "0", "rename the column `T`"),
+        ("day", "0", "`time day`"),
+        ("date", "2020-01-01", "times are numbers, such as days since the first row"),
+        ("depth", "0", "its columns are `depth`"),
+    ],
+)
+def test_a_column_that_may_hold_the_time_is_told(reading: Reader, column: str, first: str, said: str) -> None:
+    _, findings = reading(f"{column},x1,x2,Da\n{first},.5,1,.3\n")
+    assert findings[0].code == "GB710" and said in findings[0].help
+
+
 def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
     _, findings = reading("t,x1,X2,Da\n0,.5,1,.3\n1,.5,1,.3\n")
     assert "`X2`" in findings[0].help

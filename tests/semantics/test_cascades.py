@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.texts import codes
+from tests.texts import checked, codes
 
 RIGHT = """model m
 state x in [0, 1]
@@ -104,3 +104,14 @@ def test_a_learnable_behind_a_let_in_a_condition_has_no_gradient() -> None:
     text = "model m\nstate x\nlearn k = 1\nlet limit = 2*k\nx' = if(x > limit, -x, 1)\nobserve x\n"
     assert codes(text) == ["GB404"]
     assert codes(text.replace("1)\nobserve", "limit)\nobserve")) == []
+
+
+def test_what_training_makes_of_a_learned_time_depends_on_the_fit() -> None:
+    text = "model m\ntime t\nstate x\nlearn lag = 1\nlearn k = 1{}\nx' = -k*if(t > lag, x, 0)\nobserve x\n"
+    for more, said in (
+        ("", "steps end there"),
+        (" > 0 per trajectory ~ lognormal", "write `dose … lag lag`"),
+        ("\ndiffusion x = k", "it stays at its start"),
+    ):
+        (found,) = [d for d in checked(text.format(more))[1] if d.code == "GB404"]
+        assert said in found.help

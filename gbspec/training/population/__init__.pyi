@@ -3,6 +3,8 @@ from .discrepancies import examined as examined
 from .families import Families as Families
 from .family import Rows as Rows
 from .groups import Groups as Groups
+from .jumps import TimesOfJumps as TimesOfJumps
+from .jumps import values_of as values_of
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
 from .noise import shape_parameter as shape_parameter

@@ -71,21 +71,43 @@ def _effect(context: Context, found: LastFit, theta: Array, size: float) -> floa
 
 def only_in_switches(model: Model, cut: Model) -> tuple[str, ...]:
     """The learned constants that only the conditions of switches depend on."""
-    fixed = [*(channel.value for channel in model.channels), *(s.initial.value for s in model.states)]
-    fixed += [part for dose in model.doses for part in (dose.fraction, dose.lag, dose.duration)]
-    events = [part for e in model.events for part in (e.guard, e.rank, *(value for _, value in e.values))]
-    timings = [part for e in model.events if e.timing for part in (e.timing.at, e.timing.every, e.timing.until)]
-    values = model.inlined([part for part in (*cut.balances, *fixed, *events, *timings) if part is not None])
-    smooth = {symbol for value in values for symbol in _outside_conditions(value)}
+    smooth = {symbol for value in _values(model, cut.balances) for symbol in _smooth(value)}
     decide = {symbol for value in model.inlined([each.guard for each in cut.switches]) for symbol in value.free_symbols}
     return tuple(item.name for item in model.learnables if item.symbol in decide - smooth)
 
 
-def _outside_conditions(node: sympy.Basic) -> set[sympy.Basic]:
-    """The symbols of an expression, without those that occur in comparisons alone."""
-    if isinstance(node, Relational):
+def only_in_jumps(model: Model) -> tuple[str, ...]:
+    """The learned constants that occur only where values jump: in conditions, `sign`, `floor` and `ceil`. Without steps
+    that end where they jump, nothing has a derivative by them."""
+    values = _values(model, model.balances)
+    smooth = {symbol for value in values for symbol in _smooth(value)}
+    return tuple(
+        item.name
+        for item in model.learnables
+        if item.symbol not in smooth and any(item.symbol in value.free_symbols for value in values)
+    )
+
+
+def _values(model: Model, balances: Sequence[sympy.Expr]) -> list[sympy.Expr]:
+    """All values that solutions and what is measured of them depend on."""
+    fixed = [*(channel.value for channel in model.channels), *(s.initial.value for s in model.states)]
+    fixed += [channel.noise.value for channel in model.channels if channel.noise is not None]
+    fixed += [part for dose in model.doses for part in (dose.fraction, dose.lag, dose.duration)]
+    fixed += [*(one.value for one in model.diffusions), *(one.lag for one in model.delays)]
+    fixed += [one.residual for one in model.constraints]
+    events = [part for e in model.events for part in (e.guard, e.rank, *(value for _, value in e.values))]
+    timings = [part for e in model.events if e.timing for part in (e.timing.at, e.timing.every, e.timing.until)]
+    return list(model.inlined([part for part in (*balances, *fixed, *events, *timings) if part is not None]))
+
+
+_JUMPING = (Relational, sympy.sign, sympy.floor, sympy.ceiling)
+
+
+def _smooth(node: sympy.Basic) -> set[sympy.Basic]:
+    """The symbols of an expression, without those that occur only where it jumps."""
+    if isinstance(node, _JUMPING):
         return set()
-    return {node} if isinstance(node, sympy.Symbol) else {s for part in node.args for s in _outside_conditions(part)}
+    return {node} if isinstance(node, sympy.Symbol) else {s for part in node.args for s in _smooth(part)}
 
 
 def _places(model: Model) -> str:

@@ -21,11 +21,14 @@ from gbspec.training.population import (
     Pooled,
     Predictions,
     Starts,
+    TimesOfJumps,
     modes_of,
     pooled_parameters,
+    values_of,
 )
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.cutting import only_in_jumps
 from gbspec.training.recipe.finer import HALVINGS
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
 from gbspec.training.stages import Effort, StageName, most_iterations
@@ -108,7 +111,18 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
         else [Planned(StageName.SEARCH, PATIENCE[patience].improved, search)]
     )
     finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
-    return [*first, likelihoods.marginal(), *finer, likelihoods.quadrature()]
+    jumps = (likelihoods.jumps(near) for near in (False, True))
+    return [*first, likelihoods.marginal(), next(jumps), *finer, next(jumps), likelihoods.quadrature()]
+
+
+def jumping(parameters: Parameters) -> list[int]:
+    """The places among the parameters u of the constants by which the likelihood has no derivative; of distributed ones
+    those of their medians."""
+    layout, found = Layout(parameters), set(only_in_jumps(parameters.model))
+    names = [
+        k.name if k.distribution is None else k.distribution.median for k in layout.model.learnables if k.name in found
+    ]
+    return [layout.names[name] for name in names if name in layout.names]
 
 
 class _Likelihoods:
@@ -129,6 +143,19 @@ class _Likelihoods:
             return self._maximised(StageName.MARGINAL, *reached.begun, others=others)
 
         return Planned(StageName.MARGINAL, self._most, make)
+
+    def jumps(self, near: bool) -> Planned:
+        """The search for constants that occur only where values jump; `near`, after finer steps, of those found."""
+        places = [] if self._parameters.n_weights else jumping(self._parameters)
+
+        def sought(reached: Reached) -> bool:
+            return bool(places) and (not near or StageName.FINER in reached.begun)
+
+        def make(reached: Reached) -> Stage:
+            inner = self._maximised(StageName.JUMPS, *reached.begun)
+            return TimesOfJumps(StageName.JUMPS.value, inner, places, near)
+
+        return Planned(StageName.JUMPS, values_of(near) * max(len(places), 1), make, possible=sought)
 
     def finer(self, number: int) -> Planned:
         """The same at half the step (adaptive: a tenth of the tolerance), where that changes the likelihood."""
@@ -168,7 +195,7 @@ class _Likelihoods:
             self._objectives[key] = marginal_objective(self._context, self._parameters, begun)
         return self._objectives[key]
 
-    def _maximised(self, name: StageName, *begun: str, others: Starts | None = None) -> Stage:
+    def _maximised(self, name: StageName, *begun: str, others: Starts | None = None) -> MarginalLikelihood:
         context, parameters = self._context, self._parameters
 
         def failure(theta: Array) -> Exception:

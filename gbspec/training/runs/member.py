@@ -47,6 +47,7 @@ from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import without_loosened, without_tied
+from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
 
@@ -58,7 +59,7 @@ SAVING_SHARE = 0.05
 NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AGAIN, StageName.WHOLE_STARTS})
 """Stages that prepare a fit; alone they are no result."""
 
-MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.QUADRATURE})
+MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.QUADRATURE})
 """Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
@@ -375,6 +376,7 @@ class _Runner:
         if position.finished and not marginal:
             for without in (without_tied, without_misjudged):
                 result.tied += without(result, self.context, self.parameters, position.best, names)
+        result.tied += without_unmoved(result, self.context.model, names) if position.finished else []
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 

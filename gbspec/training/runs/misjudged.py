@@ -21,7 +21,7 @@ from gbspec.ir import Learnable, Model
 from gbspec.training.engines import TorchEngine, residual_vector
 from gbspec.training.population import Objective, PopulationResult
 from gbspec.training.problem import Bijections, Parameters
-from gbspec.training.recipe import Context, step_fraction
+from gbspec.training.recipe import Context, only_in_jumps, step_fraction
 from gbspec.training.runs.constants import EXACT, at_bounds, covers, half_width, inside_bounds
 from gbspec.training.runs.summary import MemberResult, whole_solutions
 from gbspec.training.runs.tied import LARGEST, penalised, refitted
@@ -102,9 +102,10 @@ def without_misjudged(
 def misjudged_of_population(result: MemberResult, objective: Objective, found: PopulationResult) -> list[str]:
     """The same of a marginal likelihood: of medians of distributions, and of constants of all trajectories."""
     model, known, places = objective.layout.model, found.estimates, {}
+    jumping = only_in_jumps(model)  # of these there is more to say (`unmoved`)
     for learnable in model.learnables:
         name = learnable.name if learnable.distribution is None else learnable.distribution.median
-        if name and name in known.names:
+        if name and name in known.names and learnable.name not in jumping:
             places[learnable.name] = known.at(name)
 
     def rise_of(place: int) -> Rise:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from gbspec.runs import StageRecord
 from gbspec.training.stages import StageName
 
-SEARCHES = frozenset({StageName.SEARCH, StageName.SEARCH_STARTS})
-"""Stages each of whose iterations is a whole fit, most of which end after the first few."""
+SEARCHES = frozenset({StageName.SEARCH, StageName.SEARCH_STARTS, StageName.JUMPS})
+"""Stages each of whose iterations is a whole fit; most of those of the first two end after the first few."""
 LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.QUADRATURE})
 """Stages of populations, each of whose iterations seeks the constants of all trajectories."""
 TYPICAL = 0.15

@@ -19,6 +19,7 @@ from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import HELPS, TIED, said_of_tied, without_tied
+from gbspec.training.runs.unmoved import unmoved
 
 EXACTLY = 1e-6
 """A noise below this part of a channel's largest one is none."""
@@ -65,6 +66,8 @@ def with_population(
         elif name in known.names:
             constants[learnable.name] = float(known.value[known.at(name)])
             sd[learnable.name] = float(known.sd[known.at(name)])
+    still = unmoved(context.model, constants, dict(result.sd) | sd, begun)
+    found = replace(found, used=found.used - len(still))  # they are no parameters of the fit
     shared = [known.at(k.name) for k in context.model.learnables if not k.per_trajectory]
     order = [k.name for k in layout.distributed]
     pick = [order.index(name) for name in own]

@@ -274,9 +274,10 @@ class _Noise:
     """Residuals [R, C], in units of the channels' scales, from which the noise is estimated.
 
     If the data are noisy, or only constants are learned, whole solutions were fitted: the noise variance is then the
-    mean squared residual (with limited outliers), divided by the `share` of the degrees of freedom that the fit has not
-    used. Otherwise each value was predicted from the previous one, and the noise is estimated from the median.
-    `freedom` are those that are left, of the values as much as each counts; None where those used are not known.
+    mean squared residual, divided by the `share` of the degrees of freedom that the fit has not used. Where all forms
+    are known this is the s² of the constants' standard deviations; beside networks outliers are limited (`limits`).
+    Otherwise each value was predicted from the previous one, and the noise is estimated from the median. `freedom` are
+    those that are left, of the values as much as each counts; None where those used are not known.
     `replicates` are the sums of squares and degrees of freedom [C] of what replicates differ by from their averages.
     """
 
@@ -284,6 +285,7 @@ class _Noise:
     share: float | None
     freedom: float | None
     replicates: tuple[Array, Array]
+    limits: bool = True
 
     @classmethod
     def of(
@@ -303,7 +305,8 @@ class _Noise:
         if not whole or not count:
             return cls(residuals, None, left, replicates)
         used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
-        return cls(residuals, max(1 - used / count, 0.1, 1 / count), left, replicates)
+        limits = bool(parameters.n_weights)
+        return cls(residuals, max(1 - used / count, 0.1, 1 / count), left, replicates, limits)
 
     def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:
         """The standard deviation of a channel's noise."""
@@ -313,7 +316,7 @@ class _Noise:
             return _robust_deviation(column)
         scatter, more = (part[channel] for part in self.replicates)
         with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.sum(limited(column) ** 2) + scatter
+            squares = np.sum((limited(column) if self.limits else column) ** 2) + scatter
             return float(np.sqrt(squares / (len(column) * self.share + more)))
 
     def lack_of_fit(self, seen: NDArray[np.bool_], channel: int) -> float | None:

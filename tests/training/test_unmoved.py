@@ -1,0 +1,105 @@
+"""Learned constants by which what is fitted has no derivative: they are searched for, or are said to stay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.data import Trajectories, Trajectory
+from gbspec.training import TrainOptions, train
+from gbspec.training.population.jumps import SPREAD, _Tried, values_of
+from gbspec.training.recipe import only_in_jumps
+from tests.training.conftest import model_of
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+LATE = """model late
+time t from 0
+state x
+learn k = 0.5 in [0.01, 5]
+learn x0 = 2 in [0.1, 20] per trajectory ~ lognormal
+learn lag = 0.4 in [0, 2]
+learn e = 0.1 in [1e-3, 1]
+x' = -k*x*if(t > lag, 1, 0)
+initial x = x0
+observe x noise normal(e)
+"""
+LAG = 1.1
+ALONE = (
+    LATE.replace(" per trajectory ~ lognormal", "").replace("learn e = 0.1 in [1e-3, 1]\n", "").replace("(e)", "(0.02)")
+)
+DISTURBED = ALONE.replace("observe x", "learn s = 0.1 > 0\ndiffusion x = s\nobserve x")
+FAST = TrainOptions(workers=1, effort="low")
+
+
+def measured(count: int) -> Trajectories:
+    """Decays with the rate 0.8 that begin at `LAG`."""
+    random, times = np.random.default_rng(3), np.arange(0.25, 4.1, 0.25)
+    found = []
+    for i in range(count):
+        start = 2 * np.exp(0.3 * (i - (count - 1) / 2))
+        values = start * np.exp(-0.8 * np.maximum(times - LAG, 0)) + 0.02 * random.standard_normal(len(times))
+        x = values[:, None]
+        found.append(Trajectory(str(i), 0.0, times, x, np.ones_like(x), np.full_like(x, np.nan), np.zeros(0)))
+    return Trajectories(tuple(found), ("x",))
+
+
+def test_a_likelihood_searches_for_the_time_of_a_jump(tmp_path: Path) -> None:
+    options = replace(FAST, stages="search; marginal likelihood; times of jumps")
+    run = train(model_of(LATE), measured(2), options, tmp_path / "run")
+    record, population = run.fit.constants["lag"], run.fit.population
+    assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is None
+    assert run.fit.constants["k"].value == pytest.approx(0.8, rel=0.05)
+    assert population is not None and population.parameters == 5
+    (said,) = [text for text in run.fit.warnings if "`lag`" in text]
+    assert "no interval" in said and "the best of the values that were tried" in said and "`dose … lag lag`" in said
+
+
+def test_a_constant_that_no_step_moves_is_no_parameter(tmp_path: Path) -> None:
+    options = replace(FAST, stages="marginal likelihood")
+    run = train(model_of(LATE), measured(2), options, tmp_path / "run")
+    population = run.fit.population
+    assert run.fit.constants["lag"].value == pytest.approx(0.4, rel=1e-9)
+    assert population is not None and population.parameters == 4
+    assert any("`lag` was not learned" in text and "its start, 0.4" in text for text in run.fit.warnings)
+
+
+def test_least_squares_learn_the_time_of_a_jump(tmp_path: Path) -> None:
+    run = train(model_of(ALONE), measured(1), replace(FAST, backend="native"), tmp_path / "run")
+    record = run.fit.constants["lag"]
+    assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is not None
+    assert record.interval[0] < LAG < record.interval[1]
+    assert not any("`lag`" in text for text in run.fit.warnings)
+
+
+def test_a_fit_with_disturbances_says_that_a_constant_stayed(tmp_path: Path) -> None:
+    run = train(model_of(DISTURBED), measured(1), FAST, tmp_path / "run")
+    assert run.fit.constants["lag"].value == pytest.approx(0.4, rel=1e-9) and run.fit.constants["lag"].sd is None
+    (said,) = [text for text in run.fit.warnings if "`lag`" in text]
+    assert "`lag` was not learned" in said and "its start, 0.4" in said and "dose" not in said
+
+
+def test_a_threshold_that_no_solution_passes_is_told(tmp_path: Path) -> None:
+    text = ALONE.replace("0.4 in [0, 2]", "50 in [40, 60]").replace("if(t > lag, 1, 0)", "if(x > lag, 0.5, 1)")
+    options = replace(FAST, backend="native", stages="least squares")
+    run = train(model_of(text), measured(1), options, tmp_path / "run")
+    assert run.fit.constants["lag"].value == pytest.approx(50, rel=1e-9) and run.fit.constants["lag"].interval is None
+    assert any("`lag` was not learned" in text and "a start that solutions pass" in text for text in run.fit.warnings)
+
+
+def test_constants_that_occur_only_where_values_jump() -> None:
+    assert only_in_jumps(model_of(LATE)) == ("lag",)
+    assert only_in_jumps(model_of(LATE.replace("1, 0)", "1, lag)"))) == ()
+    assert only_in_jumps(model_of(ALONE.replace("if(t > lag, 1, 0)", "max(sign(t - lag), 0)"))) == ("lag",)
+
+
+def test_values_are_tried_over_the_range_and_then_around_the_best() -> None:
+    values = np.array([0.4])
+    for _ in range(values_of(False) - 1):
+        losses = (values - 0.77) ** 2
+        values = np.append(values, _Tried(values, losses).next((0.0, 1.0), SPREAD))
+    assert values[1] == pytest.approx(0.5 / SPREAD) and values[SPREAD] == pytest.approx(1 - 0.5 / SPREAD)
+    assert np.abs(values - 0.77).min() < 2e-3
