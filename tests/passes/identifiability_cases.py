@@ -244,14 +244,21 @@ FURTHER: dict[str, Case] = {
         "T' = 10000*s - beta*T*V\nI' = beta*T*V - delta*I\nV' = p*I - c*V\nobserve y = log(V)\n",
         1, {"p"}, {"s"}, "T and I in other units, p and s with them; free starts hide all else below the fourth order",
     ),
-}  # fmt: skip
-
-UNDECIDED: dict[str, tuple[str, str]] = {
     "rates that differ by fifteen decades": (
         "time t from 0\nstate a\nstate b\nstate c\nstate d\nlearn fast = 1e9 in [1e8, 1e10]\n"
         "learn quick = 1e5 in [1e4, 1e6]\nlearn slow = 1e-6 in [1e-7, 1e-5]\na' = -fast*a\nb' = fast*a - quick*b\n"
         "c' = quick*b - slow*c\nd' = slow*c\ninitial a = 1\ninitial b = 0\ninitial c = 0\ninitial d = 0\n"
         "observe a\nobserve b\nobserve c\n",
+        0, set(), set(), "c decays with the rate slow, which many digits tell beside the others",
+    ),
+}  # fmt: skip
+
+UNDECIDED: dict[str, tuple[str, str]] = {
+    "rates that differ by fifteen decades, with a branch": (
+        "time t from 0\nstate a\nstate b\nstate c in [0, 2]\nstate d\nlearn fast = 1e9 in [1e8, 1e10]\n"
+        "learn quick = 1e5 in [1e4, 1e6]\nlearn slow = 1e-6 in [1e-7, 1e-5]\na' = -fast*a\nb' = fast*a - quick*b\n"
+        "c' = quick*b - slow*max(c, 0)\nd' = slow*max(c, 0)\ninitial a = 1\ninitial b = 0\n"
+        "initial c = 0\ninitial d = 0\nobserve a\nobserve b\nobserve c\n",
         "c decays with the rate slow, which beside the others is below rounding",
     ),
     "overflow that a known start may reach": (

@@ -171,7 +171,10 @@ def test_what_the_ranges_do_not_decide_is_said_to_be_undecided(name: str) -> Non
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (UNDECIDED["rates that differ by fifteen decades"][0], "for slow: effects on what is observed are too small"),
+        (
+            UNDECIDED["rates that differ by fifteen decades, with a branch"][0],
+            "for slow: effects on what is observed are too small",
+        ),
         (UNDECIDED["overflow that a known start may reach"][0], "for r: it depends on which branches and values the"),
     ],
 )

@@ -77,7 +77,8 @@ def test_a_state_whose_logarithm_is_observed_is_not_said_to_be_unmeasured() -> N
     text = (
         "model m\ntime t from 0\ncondition ttx in [1, 9]\nstate U in [0, 1]\nstate I in [0, 10]\nstate V in [0, 1e5]\n"
         "learn b = 1e-3 in [1e-6, 1]\nlearn p = 1e3 in [1, 1e7]\nlearn dI = 2 in [0.1, 20]\nlearn eps = 0.9 in [0, 1]\n"
-        "learn V0 = 0.1 in [1e-4, 50]\nlet on = if(t > ttx, 1, 0)\ninitial U = 1\ninitial I = 0\ninitial V = V0\n"
-        "U' = -b*U*V\nI' = b*U*V - dI*I\nV' = (1 - eps*on)*p*I - 5*V\nobserve logV = log10(max(V, 1e-6))\n"
+        "unknown s(U)\nlearn V0 = 0.1 in [1e-4, 50]\nlet on = if(t > ttx, 1, 0)\n"
+        "initial U = 1\ninitial I = 0\ninitial V = V0\nU' = s - b*U*V\nI' = b*U*V - dI*I\nV' = (1 - eps*on)*p*I - 5*V\n"
+        "observe logV = log10(max(V, 1e-6))\n"
     )
     assert "it would help to observe `U` or `I`;" in summary(text)

@@ -19,6 +19,9 @@ from gbspec.operations import evaluating, tables
 from gbspec.training import TrainOptions, train
 from gbspec.training.population.counts import NegativeBinomial, Poisson, size_information
 from gbspec.training.population.family import Family, Rows
+from gbspec.training.population.objective import Objective
+from gbspec.training.population.results import result_at
+from gbspec.training.runs.misjudged import with_held
 from tests.training.test_populations import marginal_of, model_of, table
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -281,6 +284,29 @@ x' = -f
 initial x = 30
 observe y = 2*x noise poisson as "x"
 """
+
+
+@pytest.mark.parametrize("held", [0.2, 0.45, 0.9])
+def test_the_likelihood_with_a_constant_held_is_that_of_an_independent_profile(tmp_path: Path, held: float) -> None:
+    """What decides whether data leave a constant open: all others are refitted, from far off too."""
+    values = decay(tmp_path, 4.0)
+    model = model_of(DECAY, tmp_path)
+    data = tables.read_data(tmp_path / "data.csv", model, Findings())
+    made, _, weights = marginal_of(model, data, 1, 0.25)
+    objective, modes = Objective(made), np.zeros((len(data), made.layout.effects))
+
+    def minus2ll(x: np.ndarray, r: float) -> float:
+        size, mean = np.exp(x[1]), 2 * np.exp(x[0]) * np.exp(-r * TIMES)
+        return float(-2 * nbinom.logpmf(values, size, size / (size + mean)).sum())
+
+    best = minimize(lambda x: minus2ll(x[:2], x[2]), [3.4, 1.4, 0.5], method="Nelder-Mead", options={"xatol": 1e-7})
+    at = made.layout.bijections.from_natural(np.array([best.x[2], np.exp(best.x[0]), np.exp(best.x[1])]))
+    found = result_at(objective, weights, at, modes, 0.0)
+    assert found.point.minus2ll == pytest.approx(best.fun, abs=1e-3)
+    value, point = with_held(objective, found, found.estimates.at("r"), held)
+    expected = minimize(minus2ll, best.x[:2], (held,), method="Nelder-Mead", options={"xatol": 1e-7, "maxiter": 2000})
+    assert value == pytest.approx(expected.fun, abs=0.05)
+    assert point.minus2ll == pytest.approx(expected.fun, abs=0.05)
 
 
 def test_a_network_is_learned_from_counts(tmp_path: Path) -> None:

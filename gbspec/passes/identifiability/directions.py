@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import comb
 
 import numpy as np
@@ -14,6 +14,7 @@ from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.generators import moved
 from gbspec.passes.identifiability.jets import Base, LinearSystem, size, system_at
 from gbspec.passes.identifiability.points import bases_of
+from gbspec.passes.identifiability.precise import Precise, examinable, null_at
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.reach import Reach
 from gbspec.passes.identifiability.series import Algebra, Effort, OutOfEffortError
@@ -59,6 +60,17 @@ class Directions:
     tells: bool = True
     """Whether the expansions are long enough: else they say nothing of any constant."""
 
+    @property
+    def sizes(self) -> Array:
+        """The sizes of the sought constants, beside which a change of them is large or none."""
+        constants = self.bases[0].constants
+        return sizes_of(self.bases[0].question, constants)
+
+
+def sizes_of(question: Question, constants: Mapping[sympy.Symbol, float]) -> Array:
+    """The sizes of the sought constants at a point: their values, or 1."""
+    return np.array([abs(constants[k.symbol]) or 1.0 for k in question.sought])
+
 
 def find(question: Question, effort: Effort) -> Directions | Open:
     """The directions at increasing order, until their number is constant; what ended the search if it is before that.
@@ -94,11 +106,46 @@ def find(question: Question, effort: Effort) -> Directions | Open:
         past.append(found)
         ranks = {(e.basis.shape[1], e.doubtful.shape[1], e.functions, e.own) for e in past[-needed:]}
         settled = order > first and len(past) >= needed and len(ranks) == 1
-        if settled and (order > first + cancelling or _explained(question, found)):
+        if settled and _explained(question, found):
             return found
+        if settled and order > first + cancelling:
+            return _precisely(question, found, (found.order, last), effort) or found
     if past and _explained(question, past[-1]):
         return past[-1]
+    if past and ended is None:
+        more = _precisely(question, past[-1], (first + cancelling + 1, last), effort)
+        if more is not None:
+            return more
     return ended or Open(Why.ORDERS if past else Why.COMPENSATED, min(last + silent, MOST_ORDERS))
+
+
+def _precisely(question: Question, found: Directions, orders: tuple[int, int], effort: Effort) -> Directions | None:
+    """The directions that numbers of many digits leave, at two orders in a row: what excludes a direction may be
+    smaller than rounding beside the rest. None where that is not known, or no other than what was `found`."""
+    if found.functions or found.own or not examinable(question):
+        return None
+    count = found.basis.shape[1] + found.doubtful.shape[1] if orders[0] == found.order else None
+    for order in range(orders[0], max(orders[1], orders[0] + 2) + 1):
+        basis = _precise_basis(question, order, effort)
+        if basis is None:
+            return None
+        if basis.shape[1] in (0, count):
+            return replace(found, basis=basis, doubtful=np.zeros((len(basis), 0)), faint=(), order=order)
+        count = basis.shape[1]
+    return None
+
+
+def _precise_basis(question: Question, order: int, effort: Effort) -> Array | None:
+    """The directions of one order with many digits, in the constants' own units; None where they were not found."""
+    algebra, rng = Precise(order, order, effort), np.random.default_rng(SEED + order)
+    base = next(bases_of(question, Branches(question), rng), None)
+    model = question.model
+    varied = None in question.starts or model.conditions or model.inputs or model.doses or model.time.start is None
+    lines = _lines(question, order) if varied else 1  # all lines are the same
+    basis = None if base is None else null_at(base, algebra, lines, rng)
+    if base is None or basis is None:
+        return None
+    return _unscaled(basis, sizes_of(question, base.constants))
 
 
 def _ended(large: bool, effort: Effort, silent: int) -> Why:
@@ -113,7 +160,7 @@ def _explained(question: Question, found: Directions) -> bool:
     if found.functions or found.own or found.doubtful.shape[1]:
         return False
     constants = found.bases[0].constants
-    sizes = np.array([abs(constants[k.symbol]) or 1.0 for k in question.sought])
+    sizes = sizes_of(question, constants)
     proved = moved(question, constants) / sizes
     count = found.basis.shape[1]
     both = np.concatenate([proved, (found.basis / sizes[:, None]).T])
@@ -135,7 +182,7 @@ def at_order(
     equations: list[Array] = []
     lines, count = _lines(question, order), len(question.sought)
     for base in bases_of(question, branches or Branches(question), rng):
-        scales = np.array([abs(base.constants[k.symbol]) or 1.0 for k in question.sought])
+        scales = sizes_of(question, base.constants)
         try:
             with np.errstate(all="ignore"):
                 system = system_at(base, algebra, lines, rng)
@@ -293,6 +340,7 @@ def _loose(systems: Sequence[LinearSystem]) -> tuple[tuple[str, ...], tuple[str,
 def absorbers(directions: Directions, direction: Array) -> set[str]:
     """The unknowns, and constants of each trajectory, that must change along a direction of the constants."""
     names: set[str] = set()
+    least = 1e-4 * np.max(np.abs(direction / directions.sizes))
     for system in _telling(directions):
         constants, others = system.matrix[:, : system.constants], system.matrix[:, system.constants :]
         if not others.shape[1]:
@@ -300,10 +348,10 @@ def absorbers(directions: Directions, direction: Array) -> set[str]:
         answer = np.linalg.lstsq(others, -constants @ direction, rcond=1e-10)[0]
         for germ in system.germs:
             first = germ.column - system.constants
-            if np.max(np.abs(answer[first : first + 1 + len(germ.base)])) > 1e-4 * np.max(np.abs(direction)):
+            if np.max(np.abs(answer[first : first + 1 + len(germ.base)])) > least:
                 names.add(germ.unknown)
         for name, columns in system.own.items():
-            if max(abs(answer[c - system.constants]) for c in columns) > 1e-4 * np.max(np.abs(direction)):
+            if max(abs(answer[c - system.constants]) / system.sizes[c] for c in columns) > least:
                 names.add(name)
     return names
 

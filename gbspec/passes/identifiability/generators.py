@@ -131,9 +131,17 @@ def rational_null(matrix: Array, keys: Sequence[Key]) -> list[dict[Key, Fraction
     found = []
     for vector in echelon(null[:, ::-1])[:, ::-1]:
         weights = {key: Fraction(float(v)).limit_denominator(12) for key, v in zip(keys, vector, strict=True)}
-        if max(abs(float(weights[key]) - v) for key, v in zip(keys, vector, strict=True)) < 1e-5:
+        near = max(abs(float(weights[key]) - v) for key, v in zip(keys, vector, strict=True)) < 1e-5
+        if near and _solves(matrix, np.array([float(weights[key]) for key in keys])):
             found.append(weights)
     return found
+
+
+def _solves(matrix: Array, weights: Array) -> bool:
+    """Whether weights solve every equation: beside its own terms, as these may be small beside those of others."""
+    terms = matrix * weights
+    largest = np.max(np.abs(matrix), axis=1, initial=0.0) * np.max(np.abs(weights), initial=0.0)
+    return bool(np.all(np.abs(terms.sum(axis=1)) <= 1e-7 * np.abs(terms).sum(axis=1) + 1e-12 * largest))
 
 
 def echelon(rows: Array) -> Array:

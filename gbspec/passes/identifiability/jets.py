@@ -139,7 +139,7 @@ class Jet:
         self._unit = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
         self._widths = np.array([base.widths[symbol] for symbol in (*self._parameters, *self._slopes)])
         self._widths *= 0.0 if question.alone else 1.0
-        self._directions = self._unit * self._widths
+        self._directions = algebra.numbers(self._unit) * algebra.numbers(self._widths)
 
     # -------------------------------------------------------------------------------------------------------- values
 
@@ -343,7 +343,7 @@ class Jet:
         return change.reshape(change.shape[0], math.prod(change.shape[1:]))  # none may have been sought yet
 
     def _zero(self) -> Array:
-        return np.zeros((self._columns.count, self._lines, self._algebra.size))
+        return self._algebra.zeros((self._columns.count, self._lines, self._algebra.size))
 
     @staticmethod
     def _sum(a: Array, b: Array) -> Array:
@@ -358,7 +358,7 @@ class Jet:
 
         Signals are not among them: after one past there may be any input, and any dose.
         """
-        along = self._unit[:, : self._lasting] * (self._widths[: self._lasting] > 0)
+        along = self._algebra.numbers(self._unit[:, : self._lasting] * (self._widths[: self._lasting] > 0))
         exponents = monomials(self._lasting, self._algebra.order)
         column = self._own_columns.get((kind, name))
         if column is None:
@@ -401,7 +401,7 @@ class Jet:
     def _slope(self, germ: Germ, powers: Array, r: int) -> Array:
         """The derivative of a germ by its argument r, as a series."""
         position = {e: k for k, e in enumerate(germ.exponents)}
-        result = np.zeros(powers.shape[1:])
+        result = self._algebra.zeros(powers.shape[1:])
         for exponent, coefficient in zip(germ.exponents, germ.coefficients, strict=True):
             if exponent[r]:
                 lower = (*exponent[:r], exponent[r] - 1, *exponent[r + 1 :])

@@ -283,7 +283,13 @@ def _base(
     for symbol in (*(s.symbol for s in model.states), *others):
         widths[symbol] = float(drawn.widths[symbol][index])
     here = {symbol: value[index : index + 1] for symbol, value in drawn.values.items()}
+    begun = [s.symbol for s, start in zip(model.states, question.starts, strict=True) if start is not None]
+    for symbol in begun:  # near a known start a state changes by its value there, however wide its range is
+        widths[symbol] = min(abs(float(here[symbol][0])), widths[symbol]) or widths[symbol]
     rates = [abs(float(rate)) for rate in np.ravel([values_of(rate, here) for rate in question.rates])]
     quick = [r / widths[s.symbol] for r, s in zip(rates, model.states, strict=True) if widths[s.symbol] > 0]
     tempo = 1 / max(quick) if quick and 0 < max(quick) < np.inf else 1.0
+    for rate, state in zip(rates, model.states, strict=True):
+        if state.symbol in begun and not float(here[state.symbol][0]):
+            widths[state.symbol] = min(rate * tempo, widths[state.symbol]) or widths[state.symbol]
     return Base(variables, constants, widths, question, certain, tempo)

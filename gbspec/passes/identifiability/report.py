@@ -91,7 +91,7 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
             _warn(model, question, found, findings)
-    touched = np.max(np.abs(declared.doubtful), axis=1, initial=0.0) > 1e-6
+    touched = np.max(np.abs(_relative(declared, declared.doubtful)), axis=1, initial=0.0) > 1e-6
     doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
     faint = tuple(name for name in doubtful if name in declared.faint)
     branched = bool(Branches(question).atoms)
@@ -139,14 +139,15 @@ def _sets(question: Question, declared: Directions, everything: Directions | Ope
     names = [k.name for k in question.sought]
     known = symmetries(question, declared) if declared.basis.shape[1] else []
     sets: list[Inseparable] = []
-    for group in _groups(declared.basis):
+    for group in _groups(_relative(declared, declared.basis)):
         members = [i for i in range(len(names)) if np.max(np.abs(group[i])) > 1e-6]
         constants = tuple(names[i] for i in members)
-        unknowns = {u for direction in group.T for u in absorbers(declared, direction)}
+        natural = group * declared.sizes[:, None]
+        unknowns = {u for direction in natural.T for u in absorbers(declared, direction)}
         constants += tuple(k.name for k in question.own if k.name in unknowns)
         ordered = tuple(u.name for u in question.model.unknowns if u.name in unknowns)
         proofs = [s for s in known if set(s.constants) <= set(constants)]
-        measured = isinstance(everything, Directions) and _within(group, everything.basis)
+        measured = isinstance(everything, Directions) and _within(group, everything.basis / declared.sizes[:, None])
         sets.append(Inseparable(constants, ordered, _proof(proofs, group.shape[1]), measured))
     if isinstance(everything, Directions):
         sets += _loose(declared, everything, {name for s in sets for name in s.names})
@@ -192,6 +193,12 @@ def _free(states: Sequence[str], proofs: Sequence[Symmetry], order: Sequence[str
 
 def _proof(proofs: Sequence[Symmetry], count: int) -> str:
     return "; ".join(str(s) for s in proofs[:count])
+
+
+def _relative(directions: Directions, basis: Array) -> Array:
+    """Directions in units of the constants' sizes, of length 1: which constants they move does not depend on units."""
+    found = basis / directions.sizes[:, None] if basis.shape[1] else basis
+    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=0), 1e-300))
 
 
 def _groups(basis: Array) -> list[Array]:

@@ -73,16 +73,28 @@ class Algebra:
         """The number of coefficients."""
         return len(self.monomials)
 
+    def zeros(self, shape: tuple[int, ...]) -> Array:
+        """An array of zeros, in the arithmetic of this algebra."""
+        return np.zeros(shape)
+
+    def numbers(self, values: Array | float) -> Array:
+        """Numbers in the arithmetic of this algebra."""
+        return np.asarray(values, dtype=np.float64)
+
+    def number(self, e: Expr) -> float:
+        """The value of an expression without symbols."""
+        return float(e)
+
     def constant(self, value: Array | float) -> Array:
         """A series that does not vary."""
-        values = np.asarray(value, dtype=np.float64)
-        result = np.zeros((*values.shape, self.size))
+        values = self.numbers(value)
+        result = self.zeros((*values.shape, self.size))
         result[..., 0] = values
         return result
 
     def times(self, a: Array, b: Array) -> Array:
         """The product; leading axes are broadcast."""
-        result = np.zeros(np.broadcast_shapes(a.shape, b.shape))
+        result = self.zeros(np.broadcast_shapes(a.shape, b.shape))
         for k, (source, target) in enumerate(self._products):
             if np.any(a[..., k]):
                 self.effort.spend(STEP + result[..., 0].size * len(source))
@@ -101,7 +113,7 @@ class Algebra:
 
     def integral(self, a: Array) -> Array:
         """The integral over time from 0."""
-        result = np.zeros_like(a)
+        result = self.zeros(a.shape)
         for k, (i, j) in enumerate(self.monomials):
             target = self.index.get((i + 1, j))
             if target is not None:
@@ -174,7 +186,7 @@ class Evaluation:
         if e.is_Symbol:
             return self.values[e]
         if e.is_number:
-            return algebra.constant(np.full(self.lines, float(e)))
+            return algebra.constant(np.full(self.lines, algebra.number(e)))
         if e.is_Add:
             return np.asarray(np.sum([self(part) for part in e.args], axis=0))
         if e.is_Mul:
@@ -184,7 +196,7 @@ class Evaluation:
             return result
         if e.is_Pow:
             if e.exp.is_number:
-                return algebra.power(self(e.base), float(e.exp))
+                return algebra.power(self(e.base), algebra.number(e.exp))
             return algebra.exp(algebra.times(self(e.exp), algebra.log(self(e.base))))
         if isinstance(e, sympy.Piecewise):
             return self._piecewise(e)

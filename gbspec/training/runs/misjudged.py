@@ -2,7 +2,7 @@
 
 A standard deviation is computed from the curvature at the estimate. Where that vanishes while the sum of squares still
 rises further off (two rates that may be exchanged, and meet), it says nothing. Before constants are called open, the
-fit with each of them held a part of the way to its bounds, and all else refitted, tells.
+fit with each of them held further and further on the way to its bounds, and all else refitted, tells.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Learnable, Model
 from gbspec.training.engines import TorchEngine, residual_vector
-from gbspec.training.population import Objective, PopulationResult
+from gbspec.training.population import Objective, Point, PopulationResult
 from gbspec.training.problem import Bijections, Parameters
 from gbspec.training.recipe import Context, only_in_jumps, step_fraction
 from gbspec.training.runs.constants import EXACT, at_bounds, covers, half_width, inside_bounds
@@ -27,12 +27,16 @@ from gbspec.training.runs.summary import MemberResult, whole_solutions
 from gbspec.training.runs.tied import LARGEST, penalised, refitted
 from gbspec.training.runs.verdict import widening
 
-WAY = 0.25
-"""The part of the way to its bounds, on their scale, that a constant is moved."""
+WAYS = (0.05, 0.12, 0.25, 0.5, 0.75, 0.95)
+"""The parts of the way to its bounds, on their scale, that a constant is moved, until the fit is clearly worse."""
 EQUAL = 0.05
 """Two constants of one unit that differ by a smaller part may be two that can be exchanged."""
-SCORING = 6
-"""Steps of scoring, and halvings of each, of a marginal likelihood with one constant held."""
+STEPS, HALVINGS = 60, 20
+"""Steps, and halvings of each, of a marginal likelihood with one constant held."""
+ENOUGH, CLOSE_TO_IT = 0.02, 0.5
+"""Steps end where the next promises less; a minimum from which more is promised was not found."""
+SMALLEST = 1e-10
+"""Curvatures below this part of the largest count as this part of it."""
 
 Rise = Callable[[float], float]
 """By how much the deviance is higher with the constant held at a value, at least; minus infinity if not known."""
@@ -48,16 +52,21 @@ class Held:
 
 
 def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: float) -> Held | None:
-    """The constant, if a part of the way to one of its bounds the deviance is above the threshold."""
+    """The constant, if what the deviance leaves it, up to the threshold, is clearly less than its bounds do."""
     low, high, log = learnable.range.low, learnable.range.high, learnable.range.logarithmic
 
-    def towards(bound: float) -> float:
+    def towards(bound: float, way: float) -> float:
         if log and value * bound > 0:
-            return float(value * (bound / value) ** WAY)
-        return value + WAY * (bound - value)
+            return float(value * (bound / value) ** way)
+        return value + way * (bound - value)
 
-    worse = tuple(place for place in map(towards, (low, high)) if rise(place) > threshold)
-    return Held(learnable, value, worse) if worse else None
+    ends, worse = [], list[float]()
+    for bound in (low, high):
+        places = (towards(bound, way) for way in WAYS)
+        found = next((place for place in places if rise(place) > threshold), None)
+        ends.append(bound if found is None else found)
+        worse += [] if found is None else [found]
+    return None if covers(learnable, (ends[0], ends[1])) else Held(learnable, value, tuple(worse))
 
 
 def without_misjudged(
@@ -109,7 +118,18 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
             places[learnable.name] = known.at(name)
 
     def rise_of(place: int) -> Rise:
-        return lambda value: with_held(objective, found, place, value) - found.point.objective
+        passed: dict[float, Point] = {float(known.value[place]): found.point}
+
+        def rise(value: float) -> float:
+            middle = float(known.value[place])
+            between = [v for v in passed if min(value, middle) <= v <= max(value, middle)]
+            start = passed[min(between, key=lambda v: abs(v - value))]  # from the last place on the same side
+            objective_there, point = with_held(objective, found, place, value, start)
+            if math.isfinite(objective_there):
+                passed[value] = point
+            return objective_there - found.point.objective
+
+        return rise
 
     threshold = half_width([result]) ** 2
     open_ones = _open(result, model, [k for k in model.learnables if k.name in places])
@@ -117,33 +137,66 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
     return _taken(result, model, [one for one in each if one is not None], "A prior, or a value (`const`), gives one")
 
 
-def with_held(objective: Objective, found: PopulationResult, place: int, value: float) -> float:
-    """The objective with one parameter at a value and all others moved by scoring, less what a further step promises;
-    minus infinity where it cannot be computed."""
-    count, u = len(found.point.weights), found.point.u.copy()
-    natural = objective.layout.natural(torch.from_numpy(u)).numpy().copy()
+def with_held(
+    objective: Objective, found: PopulationResult, place: int, value: float, start: Point | None = None
+) -> tuple[float, Point]:
+    """The objective with one parameter at a value and all others at their minimum, from `start`, less what more steps
+    promise, and the point; minus infinity where that minimum was not found.
+
+    Steps are those of BFGS in units of the expected information: where this is nearly singular, as of a rate that the
+    size of an epidemic almost replaces, its own steps lead nowhere; changes of exact gradients show the curvature.
+    """
+    begun = found.point if start is None else start
+    count, held = len(begun.weights), len(begun.weights) + place
+    whole = np.concatenate([begun.weights, begun.u])
+    natural = objective.layout.natural(torch.from_numpy(begun.u)).numpy().copy()
     natural[place] = value
-    u[place] = objective.layout.bijections.from_natural(natural)[place]
-    now = objective.at(found.point.weights, u, found.point.z, found.ridge, afresh=True)
-    if not np.isfinite(now.objective):
-        return -math.inf
-    rest, promised = np.setdiff1d(np.arange(count + len(u)), [count + place]), math.inf
-    for _ in range(SCORING):
-        curvature = objective.curvature(now, found.ridge)[np.ix_(rest, rest)]
-        slope, step = objective.gradient(now, found.ridge)[rest], np.zeros(count + len(u))
-        step[rest] = -np.linalg.pinv(curvature, hermitian=True) @ slope
-        promised = -0.5 * float(slope @ step[rest])
-        if promised < 0.05:
+    moved = float(objective.layout.bijections.from_natural(natural)[place]) - whole[held]
+    rest, curvature = np.setdiff1d(np.arange(len(whole)), [held]), objective.curvature(begun, found.ridge)
+    values, vectors = np.linalg.eigh(curvature[np.ix_(rest, rest)])
+    units = vectors / np.sqrt(np.maximum(values, SMALLEST * max(float(values.max(initial=0.0)), 1e-300)))
+    along = -units @ (units.T @ curvature[rest, held])
+
+    def beside(y: Array, z: Array, share: float = 1.0) -> Point:
+        vector = whole.copy()
+        vector[held] += moved
+        vector[rest] += share * moved * along + units @ y
+        return objective.at(vector[:count], vector[count:], z, found.ridge)
+
+    none = np.zeros(len(rest))
+    tried = [(beside(none, begun.z, share), share) for share in (1.0, 0.5, 0.0)]
+    first, best = min(tried, key=lambda one: one[0].objective if np.isfinite(one[0].objective) else math.inf)
+    if not np.isfinite(first.objective):
+        return -math.inf, begun
+    along = best * along
+    now, promised = _minimum(first, beside, lambda point: units.T @ objective.gradient(point, found.ridge)[rest])
+    return (now.objective - promised if promised < CLOSE_TO_IT else -math.inf), now
+
+
+def _minimum(
+    first: Point, beside: Callable[[Array, Array], Point], slope: Callable[[Point], Array]
+) -> tuple[Point, float]:
+    """The minimum near a point, and by how much the objective there may still fall, by BFGS with halved steps."""
+    now, slopes = first, slope(first)
+    y, inverse = np.zeros(len(slopes)), np.eye(len(slopes))
+    for _ in range(STEPS):
+        step = -inverse @ slopes
+        if -float(slopes @ step) < ENOUGH:
             break
-        for halving in range(SCORING):
-            part = step * 0.5**halving
-            new = objective.at(now.weights + part[:count], now.u + part[count:], now.z, found.ridge)
-            if new.objective < now.objective:
-                now = new
+        for halving in range(HALVINGS):
+            new = beside(y + step * 0.5**halving, now.z)
+            if new.objective < now.objective + 1e-4 * 0.5**halving * float(slopes @ step):
                 break
         else:
             break
-    return now.objective - promised
+        taken, after = step * 0.5**halving, slope(new)
+        change = after - slopes
+        if (curved := float(taken @ change)) > 0:
+            left = np.eye(len(y)) - np.outer(taken, change) / curved
+            inverse = left @ inverse @ left.T + np.outer(taken, taken) / curved
+        now, y, slopes = new, y + taken, after
+    promised = 0.5 * float(slopes @ inverse @ slopes)
+    return now, promised if math.isfinite(promised) else math.inf
 
 
 def _open(result: MemberResult, model: Model, learnables: Iterable[Learnable]) -> list[Learnable]:
