@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,10 @@ from gbspec.data import Trajectories, read
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.operations.analysing import validate
+from gbspec.operations.evaluating import of_run
+from gbspec.report import run_summary
+from gbspec.report.html import tables
+from gbspec.report.verdict import verdict
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines import filter
@@ -105,3 +110,66 @@ def test_a_prediction_one_row_ahead_uses_no_value_of_its_own_row(tmp_path: Path)
     assert np.array_equal(counted, engine.problem.valued & np.isfinite(ahead)) and counted.sum() > 30
     assert errors[counted] == pytest.approx(expected[counted], rel=1e-6, abs=1e-9)
     assert not np.allclose(errors[counted], found.error[counted])
+
+
+def test_the_worst_row_is_one_of_predictions_one_row_ahead(level: tuple[Run, Trajectories], tmp_path: Path) -> None:
+    """A jump in the middle is the worst row; by the noise of measurement alone it would be one far from the start."""
+    run, _ = level
+    y = walk()
+    y[25] += 8.0
+    (tmp_path / "d.csv").write_text("t,x\n" + "".join(f"{t},{x:.6f}\n" for t, x in enumerate(y)))
+    found = validate(run, read(tmp_path / "d.csv", run.model, Findings()))
+    predicted, sd = kalman(run, y)
+    assert found.worst is not None and (found.worst.time, found.worst.ahead, found.worst.of_noise) == (25.0, 1, None)
+    assert found.worst.predicted == pytest.approx(predicted[24], abs=0.02)
+    assert found.worst.of_prediction == pytest.approx(abs(y[25] - predicted[24]) / sd[24], rel=1e-2)
+    assert "standard deviations of such predictions" in str(found.worst) and "noise" not in str(found.worst)
+    assert {"ahead", "of_prediction", "deviations"} <= set(json.loads(json.dumps(found.to_json()))["worst"])
+
+
+def test_rows_ahead_come_first_and_whole_solutions_are_named(level: tuple[Run, Trajectories]) -> None:
+    found = validate(*level)
+    lines = str(found).split("\n")
+    assert lines[0].startswith("rows ahead") and lines[4].startswith("solutions from the start alone")
+    assert lines[5].startswith("channel ")
+    assert f"R² {found.ahead['1']['x'].r2:.5g} of x one row ahead" in found.summary()
+    assert found.notes()[0].startswith("the table above: solutions from the start alone")
+    assert not any("does not follow the rows" in one for one in found.warnings)
+
+
+def test_the_learned_noise_stands_beside_the_constants(level: tuple[Run, Trajectories]) -> None:
+    run, data = level
+    (line,) = [line for line in run_summary(run).split("\n") if line.startswith("noise of x")]
+    record = run.fit.members[0].likelihood
+    assert record is not None and record.noise["x"].interval is not None
+    low, high = record.noise["x"].interval
+    assert f"{record.noise['x'].value:.6g}" in line and f"{low:.4g} to {high:.4g}" in line
+    for made in (tables.constants(run), tables.few_constants(run)):
+        assert [row[0] for row in made.rows] == ["s", "noise of x"]
+    errors = tables.metrics(validate(run, data).to_json())
+    assert list(errors)[:3] == [
+        "on the data, 1 row ahead",
+        "on the data, 10 rows ahead",
+        "on the data, from the start alone, without disturbances",
+    ]
+
+
+def test_a_report_judges_disturbed_models_one_row_ahead(level: tuple[Run, Trajectories]) -> None:
+    """Whole solutions have a negative R² here, which says nothing of the model; innovations are independent."""
+    run, data = level
+    found = validate(run, data)
+    judged = verdict(run, found, [], with_data=True)
+    assert found.channels["x"].r2 < found.ahead["1"]["x"].r2 < 0.5
+    assert judged.headline == "It follows the data in part."
+    assert any("Predictions one row ahead follow `x` in part" in one for one in judged.doubt)
+
+
+def test_slopes_in_sizes_of_disturbances_are_explained(level: tuple[Run, Trajectories], tmp_path: Path) -> None:
+    run, data = level
+    assert not of_run(run, data).remark, "with nothing else estimated both likelihoods have one maximum"
+    drift = LEVEL.replace("x' = 0", "learn a = 0.1 in [-5, 5]\nx' = a")
+    run, data = fitted(tmp_path, drift, ["t,x", *(f"{t},{x:.6f}" for t, x in enumerate(walk()))])
+    found = of_run(run, data)
+    assert "sizes of disturbances (s)" in found.remark and str(found).endswith(found.remark)
+    assert abs(found.gradient["a"]) < 0.01 < abs(found.gradient["s"])
+    assert not of_run(run, data, {"s": 2.0}).remark

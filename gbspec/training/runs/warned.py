@@ -45,7 +45,11 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     shared = [sd for name, sd in result.sd.items() if name not in own]
     deviations = np.array(shared) if shared else result.own_sd
     if not deviations.size or np.isfinite(deviations).any() or result.misjudged:
-        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
+        # A standard deviation of zero is that of a constant at a bound, which has no interval either.
+        every = np.concatenate([np.asarray(shared, dtype=np.float64), np.ravel(result.own_sd)])
+        bands = model is None or bool(model.networks)
+        certain = bands or bool((np.isfinite(every) & (every > 0)).any())
+        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse, certain)]
     if model is not None and model.marginal:
         return []
     if not result.finished:  # that is said by itself

@@ -43,7 +43,7 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
 def measured_before(engine: FilterEngine, seen: Mask, steps: int = 1) -> Integers:
     """How many rows of its trajectory, at least `steps` before each key row [R], have a measurement that is `seen`
     [R, C]."""
-    packed, some = engine.problem.packed, seen.any(axis=1)
+    packed, some = engine.problem.packed, np.asarray(seen.sum(axis=1) > 0, dtype=np.bool_)
     out = np.zeros(packed.rows, dtype=np.int64)
     for i in range(packed.trajectories):
         rows = np.flatnonzero(packed.row_trajectory == i)
