@@ -55,3 +55,5 @@ from .validation.truth_errors import truth_evaluator as truth_evaluator
 from .validation.truth_errors import truth_model as truth_model
 from .validation.validate import Validation as Validation
 from .validation.validate import validate as validate
+from .validation.worst import WorstRow as WorstRow
+from .validation.worst import worst_ahead as worst_ahead

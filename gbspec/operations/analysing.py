@@ -190,7 +190,8 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
         return found
     from gbspec.operations.filtering import errors_ahead
 
-    return replace(found, ahead=errors_ahead(run, data, run.best if member == "mean" else member))
+    ahead, worst = errors_ahead(run, data, run.best if member == "mean" else member)
+    return replace(found, ahead=ahead, worst=worst or found.worst)
 
 
 @packages()

@@ -30,11 +30,13 @@ ASKED = 1e-6
 @dataclass(frozen=True, repr=False)
 class Evaluation(Tabled):
     """The negative log likelihood `nllh`, `chi2`, the `gradient` of `nllh` by constant, and every measured value with
-    its prediction; `accuracy` is the relative error of the integration."""
+    its prediction; `accuracy` is the relative error of the integration, and `remark` says which slopes are not zero at
+    the fit itself."""
 
     model: str
     found: Evaluated
     warnings: tuple[Diagnostic, ...] = ()
+    remark: str = ""
 
     @property
     def nllh(self) -> float:
@@ -61,8 +63,8 @@ class Evaluation(Tabled):
         return of_rows(asdict(one) for one in self.found.simulation)
 
     def notes(self) -> tuple[str, ...]:
-        """The warnings."""
-        return tuple(one.message for one in self.warnings)
+        """The warnings, and the remark."""
+        return (*(one.message for one in self.warnings), *([self.remark] if self.remark else []))
 
     def to_json(self) -> dict[str, object]:
         """The content of `evaluate --json`."""
@@ -80,7 +82,7 @@ class Evaluation(Tabled):
         count = len(self.found.simulation)
         lines = [f"{self.model}: negative log likelihood {self.nllh:.9g}, chi2 {self.chi2:.9g}, {count:,} values"]
         lines += [f"  d nllh/d {name} = {slope:.6g}" for name, slope in self.gradient.items()]
-        return "\n".join(lines)
+        return "\n".join([*lines, *([self.remark] if self.remark else [])])
 
 
 def of_model(model: Model, data: Trajectories, values: Mapping[str, float] | None = None) -> Evaluation:
@@ -119,7 +121,26 @@ def of_run(
     noise = _noise_of_run(chosen, number)
     population = {**_population_of_run(chosen, number), **{k: float(v) for k, v in values.items()}, **implied}
     starts = _starts(chosen.model, data, learned)
-    return _evaluated(chosen.model, data, constants, starts, instance.weights, noise, population)
+    found = _evaluated(chosen.model, data, constants, starts, instance.weights, noise, population)
+    fitted = not values and all(place is not None for place in positions)
+    return replace(found, remark=_of_sizes(chosen.model)) if fitted else found
+
+
+def _of_sizes(model: Model) -> str:
+    """What is said of the slopes at a fit with random disturbances: its sizes maximise another likelihood, where other
+    parameters are estimated too."""
+    inside = {symbol for diffusion in model.diffusions for symbol in diffusion.value.free_symbols}
+    elsewhere = {symbol for value in model.inlined(model.balances) for symbol in value.free_symbols}
+    names = [k.name for k in model.learnables if k.symbol in inside - elsewhere]
+    others = (
+        len(names) < len(model.learnables) or model.networks or any(s.initial.kind == "learned" for s in model.states)
+    )
+    if not names or not others:
+        return ""
+    return (
+        f"sizes of disturbances ({', '.join(names)}) are fitted by the restricted likelihood, in which the other "
+        "parameters are estimated too: the slopes of this one are not zero in them"
+    )
 
 
 def _noise_of_run(run: Run, number: int) -> dict[str, float]:

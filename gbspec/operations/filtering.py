@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from gbspec.analysis import ChannelErrors, Forecast, Use
+    from gbspec.analysis import ChannelErrors, Forecast, Use, WorstRow
     from gbspec.arrays import Mask
     from gbspec.data import Trajectories
     from gbspec.runs import Run
@@ -18,15 +18,18 @@ STEPS: Mapping[str, int | None] = {"1": 1, "10": 10, "all": None}
 """How many rows ahead predictions are compared with the measurements."""
 
 
-def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[str, ChannelErrors]]:
-    """The errors of predictions by the number of rows that they are ahead, and by channel; of one member."""
-    from gbspec.analysis import channel_errors
+def errors_ahead(
+    run: Run, data: Trajectories, member: int
+) -> tuple[dict[str, dict[str, ChannelErrors]], WorstRow | None]:
+    """The errors of predictions by the number of rows that they are ahead, and by channel, and the worst row of those
+    one row ahead; of one member."""
+    from gbspec.analysis import channel_errors, worst_ahead
     from gbspec.ir import logarithmic
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, member)
     if not filtered.finite:
-        return {}
+        return {}, None
     measured = np.concatenate([item.values[item.times >= item.start] for item in data.items])
     out, log = {}, logarithmic(run.model)
     for name, steps in STEPS.items():
@@ -34,7 +37,8 @@ def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[st
         out[name] = {
             c.name: channel_errors(measured[:, j], found[:, j], bool(log[j])) for j, c in enumerate(run.model.channels)
         }
-    return out
+    spreads = (one.channel_sd for one in filtered.one_ahead())
+    return out, worst_ahead(run, data, 1, list(zip(filtered.ahead(1), spreads, strict=True)))
 
 
 def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from gbspec.frames import counted
+from gbspec.report.noises import learned_noises
 
 if TYPE_CHECKING:
     from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
@@ -270,6 +271,8 @@ def run_summary(run: Run) -> str:
     for name, entry in run.fit.constants.items():
         profile, truth = interval_of(run.profiled(name)), number(truths.get(name), 6)
         rows.append([name, number(entry.value, 6), number(entry.sd, 2), ends_of(entry.interval), profile, truth])
+    for one in learned_noises(run):
+        rows.append([one.title, number(one.value, 6), number(one.sd, 2), ends_of(one.interval), "-", "-"])
     if rows:
         header = ["constant", "value", "sd", "interval", "profile", "truth"]
         keep = [i for i in range(len(header)) if i < 4 or any(row[i] != "-" for row in rows)]

@@ -13,7 +13,7 @@ from gbspec.frames import counted
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
-from gbspec.runs import CERTAIN, FOLLOWED, held_elsewhere, how_followed
+from gbspec.runs import CERTAIN, FOLLOWED, autocorrelated, held_elsewhere, how_followed
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
@@ -78,7 +78,7 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
 
 def _headline(run: Run, found: Validation, warnings: Sequence[str], reserved: bool, with_data: bool) -> str:
     """`reserved`: whether there are warnings, or something that the data hardly determine."""
-    followed = {how_followed(one.r2, _records(run, name)) for name, one in found.channels.items()}
+    followed = {_how(run, found, name) for name in found.judged}
     worse = any("whole solutions follow" in warning for warning in warnings)
     if not with_data:
         return "Without its data, this fit cannot be judged."
@@ -90,8 +90,10 @@ def _headline(run: Run, found: Validation, warnings: Sequence[str], reserved: bo
 
 
 def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) -> None:
-    """Whole solutions against the data, beside the best predictor that knows no model."""
-    for name, errors in found.channels.items():
+    """Whole solutions against the data, beside the best predictor that knows no model; with random disturbances
+    predictions from row to row."""
+    who = "Predictions one row ahead" if found.ahead else "Whole solutions"
+    for name, errors in found.judged.items():
         known = _records(run, name)
         naive = [one.naive for one in known if one.naive is not None]
         beside = (
@@ -99,15 +101,24 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
         )
         of = " of logarithms, as the noise is," if errors.logarithms else ""
         measured = f"R² {_share(errors.r2)}{of} over {counted(errors.n, 'value')}{beside}"
-        how = how_followed(errors.r2, known)
+        how = _how(run, found, name)
         if how == "well":
-            good.append(f"Whole solutions follow `{name}`: {measured}.")
+            good.append(f"{who} follow `{name}`: {measured}.")
         else:
-            doubt.append(f"Whole solutions follow `{name}` {how}: {measured}.")
+            doubt.append(f"{who} follow `{name}` {how}: {measured}.")
         held = [one.held for one in known if one.held is not None]
         if held:
             text = f"On data that the fit did not see, `{name}` has R² {_share(min(held))}."
             (good if min(held) >= FOLLOWED else doubt).append(text)
+
+
+def _how(run: Run, found: Validation, channel: str) -> str:
+    """How a channel is followed, by the errors that a fit is judged by. One row ahead a small R² is no reason to doubt
+    the model: where innovations are independent, the measurements are noisy or the system moves by chance."""
+    known = _records(run, channel)
+    how = how_followed(found.judged[channel].r2, known)
+    coloured = not known or any(autocorrelated({channel: one}) for one in known)
+    return "in part" if how == "badly" and found.ahead and not coloured else how
 
 
 def _records(run: Run, channel: str) -> list[ChannelRecord]:

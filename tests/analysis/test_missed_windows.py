@@ -53,6 +53,7 @@ def test_predict_and_validate_name_what_is_followed_badly(run: Run) -> None:
         "rmse of `x` 1." in warning and "in 20 values" in warning and "`--window`" in warning and "initial" in warning
     )
     assert "the fit has 0.2" in warning or "the fit has 0.1" in warning
+    assert f"the fit has {run.fit.members[0].rmse['x']:.4g} in its training data" in warning, "not the noise"
     (warning,) = said(validate(run, data, truth=False).warnings)
     assert "`bad`" in warning and "`good`" not in warning and "in 25 values" in warning
 

@@ -120,6 +120,44 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     assert "lacks more" in said
 
 
+PENDULUM = """model m
+time t : s
+state th : deg in [-10, 90]
+state w : deg/s in [-300, 300]
+input u : percent held
+learn g : deg/s^2 = 10
+th' = w
+w' = -g*sin(th in rad)
+observe th
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "statements"),
+    [
+        (PENDULUM, "of `w`, from which `th` follows exactly, add the lines `learn s_w : deg/s/s^0.5 = 4 > 0` and"),
+        (PENDULUM.replace("th' = w", "const r = 2\nlet v : deg/s = w*r\nth' = v"), "of `w`, from which `th` follows"),
+        (PENDULUM.replace("th' = w", "learn r = 2\nth' = r*w"), "of `th`, add the lines"),
+        (PENDULUM.replace("th' = w", "const k : 1/s = 2\nth' = w - k*th"), "of `th`, add the lines"),
+        (PENDULUM.replace("th' = w", "const k : s/deg = 2\nth' = k*w^2"), "of `th`, add the lines"),
+        (PENDULUM.replace("w' = -g*sin(th in rad)", "const k : 1/s^2 = 2\nw' = -k*th"), "of `th`, add the lines"),
+    ],
+)
+def test_not_a_position_but_its_rate_is_offered_a_disturbance(text: str, statements: str) -> None:
+    followed = {"th": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}
+    (said,) = autocorrelations(followed, model_of(text), {"th": 0.65})
+    assert f"To describe disturbances {statements}" in said
+
+
+def test_intervals_are_not_called_wide_where_there_are_none() -> None:
+    followed = {"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}
+    assert "times as wide" in autocorrelations(followed)[0]
+    assert "times as wide" not in autocorrelations(followed, intervals=False)[0]
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
+    result = replace(fitted(0.0, 0.9), channels=followed)
+    assert not any("times as wide" in one for one in warnings_of({0: result}, TrainOptions(), model))
+
+
 def test_a_good_fit_of_data_that_a_line_follows_too_is_not_doubted() -> None:
     """Logarithms of a bolus in one compartment are a straight line."""
     white = ChannelRecord(0.998, 0.998, "a straight line", autocorrelation=0.1, pairs=80)

@@ -14,6 +14,7 @@ import numpy as np
 
 from gbspec.analysis.prediction.noise import residual_noise
 from gbspec.arrays import Array
+from gbspec.files import finite
 from gbspec.ir import logarithmic, on_fitted_scale
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ follows its own far more closely than this, and others a little less closely."""
 @dataclass(frozen=True)
 class Missed:
     """A channel that a solution misses in the rows that its start was estimated from: the root mean squares of the
-    residuals there, and of the fit; of logarithms, where the noise is log-normal."""
+    residuals there, and of what is expected of them by the fit (`fitted`: the larger one of its noise and its
+    residuals); of logarithms, where the noise is log-normal. `training`: that of the residuals of the training data."""
 
     label: str
     channel: str
@@ -39,13 +41,14 @@ class Missed:
     rmse: float
     fitted: float
     logarithms: bool
+    training: float | None = None
 
     def __str__(self) -> str:
         of = "the logarithms of " if self.logarithms else ""
-        return (
-            f"rmse of {of}`{self.channel}` {self.rmse:.4g} in {self.values} values, where the fit has "
-            f"{self.fitted:.4g} in its training data"
-        )
+        known = self.training if self.training is not None else self.fitted
+        has = "the fit has" if self.training is not None else "the noise of the fit is"
+        where = " in its training data" if self.training is not None else ""
+        return f"rmse of {of}`{self.channel}` {self.rmse:.4g} in {self.values} values, where {has} {known:.4g}{where}"
 
 
 def missed(model: Model, fit: FitRecord, scales: Scales, item: Trajectory, channels: Array) -> Missed | None:
@@ -70,7 +73,8 @@ def missed(model: Model, fit: FitRecord, scales: Scales, item: Trajectory, chann
         rmse = float(np.sqrt(np.mean(residual**2)))
         if np.mean((residual / typical) ** 2) > FAR and rmse > VISIBLE * scales.deviation[j]:
             fitted = float(np.sqrt(np.mean(typical**2)))
-            found.append(Missed(item.label, channel.name, count, rmse, fitted, bool(log[j])))
+            trained = None if log[j] else finite(known.get(channel.name, np.nan))  # known of values alone
+            found.append(Missed(item.label, channel.name, count, rmse, fitted, bool(log[j]), trained))
     return max(found, key=lambda one: one.rmse / one.fitted, default=None)
 
 

@@ -14,7 +14,6 @@ from gbspec.analysis.prediction import (
     extrapolated,
     mean_prediction,
     missed,
-    noise_at,
     predictions,
     said_of_starts,
 )
@@ -24,22 +23,27 @@ from gbspec.analysis.validation.limits import LimitsKept, limits_kept
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, said_of_logarithms, share_text
 from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
+from gbspec.analysis.validation.worst import WorstRow, worst_row
 from gbspec.arrays import Array
 from gbspec.data import deviations, present_values, said_of_ranges, states_beyond
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted, of_rows
 from gbspec.ir import logarithmic, on_fitted_scale
-from gbspec.runs import OMITTED, encode
+from gbspec.runs import encode
 
 if TYPE_CHECKING:
     import polars as pl
 
     from gbspec.analysis.systems import Extrapolation
     from gbspec.backends import Evaluator
-    from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories, Trajectory
+    from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
     from gbspec.ir import Model
     from gbspec.runs import Run, Support
+
+
+FROM_STARTS = "solutions from the start alone, without the disturbances that lead the measured rows away from them"
+"""What errors of whole solutions are where a model has random disturbances."""
 
 
 @dataclass(frozen=True)
@@ -69,42 +73,6 @@ class TrajectoryError:
         return document | ({"failure": self.failure} if self.failure else {})
 
 
-@dataclass(frozen=True)
-class WorstRow:
-    """The measurement that is predicted worst, by its error in standard deviations of its channel's data; of their
-    logarithms, where the noise is log-normal (`logarithms`).
-
-    The text has the error in terms of the measurement: in its `unit`, or relative to it where logarithms are compared,
-    and in standard deviations of the noise (`of_noise`) where this is known: of the larger one of that of the fit and
-    of the one that the model states as a number (`stated`).
-    """
-
-    trajectory: str
-    time: float
-    channel: str
-    measured: float
-    predicted: float
-    deviations: float
-    logarithms: bool = field(default=False, metadata=OMITTED)
-    of_noise: float | None = field(default=None, metadata=OMITTED)
-    unit: str = field(default="", metadata=OMITTED)
-    stated: bool = field(default=False, metadata=OMITTED)
-
-    def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        apart = f"{abs(self.predicted - self.measured):.2g}{unit}"
-        ratio = self.predicted / self.measured if self.logarithms and self.measured > 0 else 0.0
-        if ratio > 0:
-            larger = max(ratio, 1 / ratio)
-            apart = f"{100 * abs(ratio - 1):.2g} %" if larger < 2 else f"a factor of {larger:.3g}"
-        which = "stated noise" if self.stated else "noise"
-        noise = "" if self.of_noise is None else f", {self.of_noise:.2g} standard deviations of the {which}"
-        return (
-            f"worst row: {self.channel} of trajectory `{self.trajectory}` at {self.time:.6g}: measured "
-            f"{self.measured:.4g}{unit}, predicted {self.predicted:.4g}{unit}: {apart} apart{noise}"
-        )
-
-
 @dataclass(frozen=True, repr=False)
 class Validation(Tabled):
     """The result of `gbspec validate`. `channels` are errors of autoregressive predictions from the initial states.
@@ -113,7 +81,7 @@ class Validation(Tabled):
     (`1`, `10`; `all`: from the initial states alone), by channel.
 
     Failed trajectories are named in `trajectories` and `warnings`, and excluded from all errors; `worst` is the
-    measurement with the largest error.
+    measurement with the largest error, with random disturbances that of predictions one row ahead.
     """
 
     member: int | Literal["mean"]
@@ -137,13 +105,20 @@ class Validation(Tabled):
         who = "mean of the members" if self.member == "mean" else f"member {self.member}"
         parts = ", ".join(
             f"R² {share_text(one.r2)} of {'the logarithms of ' if one.logarithms else ''}{name}"
-            for name, one in self.channels.items()
+            for name, one in self.judged.items()
         )
+        parts += " one row ahead" if parts and self.ahead else ""
         return f"{who}, {counted(len(self.trajectories), 'trajectory')}" + (f", {parts}" if parts else "")
 
     def notes(self) -> Sequence[str]:
-        """The lines of the text after its table."""
-        return str(self).split("\n")[len(self.channels) + bool(self.channels) :]
+        """The lines below the table: with random disturbances what it is, and the errors from row to row."""
+        said = [f"the table above: {FROM_STARTS}", *self._rows_ahead()] if self.ahead else []
+        return [*said, *self._rest()]
+
+    @property
+    def judged(self) -> Mapping[str, ChannelErrors]:
+        """The errors by which a fit is judged: those of whole solutions, with random disturbances of one row ahead."""
+        return self.ahead.get("1", self.channels)
 
     @property
     def failed(self) -> tuple[str, ...]:
@@ -179,22 +154,36 @@ class Validation(Tabled):
         return document | {"member": self.member, "warnings": list(self.warnings)}
 
     def __str__(self) -> str:
-        lines: list[str] = []
-        wide = max([16, *(len(name) + 2 for name in self.channels)])
+        # With disturbances, errors from row to row come first: a solution without them is no prediction of the model.
+        lines = [*self._rows_ahead(), f"{FROM_STARTS}:"] if self.ahead else []
         if self.channels:
+            wide = self._width
             lines.append(f"{'channel':<{wide}}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
             for name, e in self.channels.items():
                 lines.append(
                     f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{share_text(e.r2):>10}"
                 )
-        lines += said_of_logarithms(self.channels, "nrmse and r2")
-        lines += [f"{name}: {one}" for name, one in self.limits.items()]
-        if self.ahead:
-            lines.append(f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>10}")
+        return "\n".join([*lines, *self._rest()])
+
+    @property
+    def _width(self) -> int:
+        """The width of the names of channels."""
+        return max([16, *(len(name) + 2 for name in self.channels)])
+
+    def _rows_ahead(self) -> list[str]:
+        """The table of errors by the number of rows that predictions are ahead."""
+        wide = self._width
+        lines = [f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>10}"]
         for steps, found in self.ahead.items():
             lines += [
                 f"{steps:<12}{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{share_text(e.r2):>10}" for name, e in found.items()
             ]
+        return lines
+
+    def _rest(self) -> list[str]:
+        """The lines after the tables."""
+        lines = said_of_logarithms(self.channels, "nrmse and r2")
+        lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.worst is not None:
             lines.append(str(self.worst))
         longer = sum(item.initial == "continued" for item in self.trajectories)
@@ -204,8 +193,7 @@ class Validation(Tabled):
             lines.append(f"step {check.step:.6g}: half step {check.half_step:.3g}, adaptive {check.adaptive:.3g}")
         if self.truth is not None:
             lines.append(str(self.truth))
-        lines += [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join(lines)
+        return [*lines, *(f"warning: {warning}" for warning in self.warnings)]
 
 
 def validate(
@@ -250,7 +238,7 @@ def validate(
         check = step_check(evaluators[0], step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
-        warnings += _of_starts(run, present, predicted)
+        warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
         solved = [one.states for one in predicted if not one.failure]
         warnings += said_of_ranges(states_beyond(run.model, np.concatenate(solved))) if solved else []
     place = 0 if member == "mean" else run.numbers.index(member)
@@ -290,56 +278,6 @@ def _on_data(
         counts = {name: int(rows.sum()) for name, rows in far.items() if rows.any()}
         errors.append(TrajectoryError(item.label, nrmse, one.start.origin, one.failure, counts))
     return channels, tuple(errors)
-
-
-def worst_row(run: Run, trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
-    """The measurement with the largest error; None if there is none that could be compared."""
-    log, scales = logarithmic(run.model), deviations(run.model, trajectories)
-    found: WorstRow | None = None
-    for item, one in zip(trajectories.items, predictions, strict=True):
-        values, predicted = on_fitted_scale(item.values, one.channels, log)
-        off = np.abs(predicted - values) / scales
-        if one.failure or not np.isfinite(off).any():
-            continue
-        row, column = np.unravel_index(int(np.nanargmax(off)), off.shape)
-        if found is None or off[row, column] > found.deviations:
-            of_noise, stated = _of_noise(
-                run, item, one, (int(row), int(column)), float(off[row, column] * scales[column])
-            )
-            found = WorstRow(
-                item.label,
-                float(item.times[row]),
-                trajectories.channels[int(column)],
-                float(item.values[row, column]),
-                float(one.channels[row, column]),
-                float(off[row, column]),
-                bool(log[column]),
-                of_noise,
-                run.model.channels[int(column)].unit or "",
-                stated,
-            )
-    return found
-
-
-def _of_noise(
-    run: Run, item: Trajectory, one: Prediction, place: tuple[int, int], error: float
-) -> tuple[float | None, bool]:
-    """The error of a measurement, of its logarithm where the noise is log-normal, in standard deviations of its noise:
-    of the one that the table states, else of the larger one of those of the fit and of the model, and whether it is the
-    model's; None where there is none."""
-    row, column = place
-    log, channel = bool(logarithmic(run.model)[column]), run.model.channels[column]
-    value, size = (abs(float(each[place])) for each in (one.channels, item.values))
-    average = np.sqrt(max(float(item.counts[place]), 1.0))
-    noise, own = noise_at(run, one.channels[row][None])[0, column] / average, np.isfinite(item.sd[place])
-    if own:
-        value, noise = size, item.sd[place]
-    if log:
-        noise = noise / value if value > 0 else 0.0
-    known = channel.noise.scale if channel.noise is not None and channel.noise.value is None and not own else 0.0
-    declared = (np.sqrt(np.log1p(known**2)) if log else known) / average
-    largest = float(max(noise, declared) if np.isfinite(noise) else declared)
-    return (float(error / largest) if largest > 0 else None), bool(declared > 0 and declared == largest)
 
 
 def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:

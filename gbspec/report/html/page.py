@@ -262,7 +262,7 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     """The few numbers at the top of the page."""
-    channels = found.validation.channels.values()
+    channels = found.validation.judged.values()
     cards = [
         (str(run.fit.data.trajectories), "trajectory" if run.fit.data.trajectories == 1 else "trajectories"),
         (str(run.fit.data.values), "measured values"),
@@ -271,7 +271,8 @@ def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     if channels:
         largest = max(channels, key=lambda one: one.nrmse)
         of = "in the standard deviations of its logarithms" if largest.logarithms else "in its standard deviations"
-        cards.append((number(largest.nrmse, 3), f"largest error of a channel, {of}"))
+        ahead = " one row ahead" if found.validation.ahead else ""
+        cards.append((number(largest.nrmse, 3), f"largest error of a channel{ahead}, {of}"))
     truth = found.validation.truth
     if truth is not None:
         cards.append((number(truth.rhs.L2, 3), "L2 error of the right-hand side"))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gbspec.frames import counted
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.report import collect
+from gbspec.report.noises import learned_noises
 from gbspec.report.text import ends_of, interval_of, number, share
 from gbspec.runs import Run
 
@@ -17,6 +19,18 @@ class Table:
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+
+
+def _errors(channels: JsonObject) -> Table:
+    """The errors of channels."""
+    keys = ("n", "rmse", "nrmse", "mae", "r2")
+    logs = any(one.get("logarithms") for one in channels.values())
+    header = ("channel", *keys, *(["nrmse and r2 of"] if logs else []))
+    rows = []
+    for name, one in channels.items():
+        scale = ["logarithms" if one.get("logarithms") else "values"] if logs else []
+        rows.append((name, *(number(one[key], 5) for key in keys[:-1]), share(one[keys[-1]]), *scale))
+    return Table(header, tuple(rows))
 
 
 def constants(run: Run) -> Table:
@@ -30,6 +44,10 @@ def constants(run: Run) -> Table:
         made = (interval_of(one.profile),) if profiled else ()
         rows.append((one.name, number(one.value, 6), one.unit or "-", between, *made, number(one.start),
                      number(one.truth, 6), error))  # fmt: skip
+    for noise in learned_noises(run):
+        made = ("-",) if profiled else ()
+        rows.append((noise.title, number(noise.value, 6), noise.unit or "-", ends_of(noise.interval), *made, "-", "-",
+                     "-"))  # fmt: skip
     ends = ("90 % interval", *(["profile"] if profiled else []))
     return _without_empty(Table(("constant", "value", "unit", *ends, "start", "truth", "off by"), tuple(rows)))
 
@@ -55,6 +73,9 @@ def few_constants(run: Run) -> Table:
             between = f"trajectories: {number(min(values), 3)} to {number(max(values), 3)}"
         truth = [number(one.truth)] if true else []
         rows.append((one.name, number(one.value, 5) + unit, between, *truth))
+    for noise in learned_noises(run):
+        unit = f" {noise.unit}" if noise.unit else ""
+        rows.append((noise.title, number(noise.value, 5) + unit, ends_of(noise.interval, 5), *(["-"] if true else [])))
     return Table(("constant", "value", "90 % interval", *(["truth"] if true else [])), tuple(rows))
 
 
@@ -93,15 +114,12 @@ def metrics(validation: JsonObject) -> dict[str, Table]:
     """The numbers of `gbspec validate`: errors on the data, and against the truth."""
     found = {}
     channels = validation["channels"]
+    ahead = validation.get("ahead") or {}
+    for steps, errors in ahead.items():
+        if steps != "all":  # that stands in the table of solutions from the start, with learned starts
+            found[f"on the data, {counted(int(steps), 'row')} ahead"] = _errors(errors)
     if channels:
-        keys = ("n", "rmse", "nrmse", "mae", "r2")
-        logs = any(one.get("logarithms") for one in channels.values())
-        header = ("channel", *keys, *(["nrmse and r2 of"] if logs else []))
-        rows = []
-        for name, one in channels.items():
-            scale = ["logarithms" if one.get("logarithms") else "values"] if logs else []
-            rows.append((name, *(number(one[key], 5) for key in keys[:-1]), share(one[keys[-1]]), *scale))
-        found["on the data"] = Table(header, tuple(rows))
+        found["on the data" + (", from the start alone, without disturbances" if ahead else "")] = _errors(channels)
     truth = validation.get("truth")
     if truth:
         norms = {"solution": truth["solution"], "right-hand side": truth["rhs"], **truth["functions"]}

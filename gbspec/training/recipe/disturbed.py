@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data import Trajectories, unstated
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import METHODS, Model, RosenbrockW, noise_form
@@ -98,8 +98,9 @@ def whole_vector(context: Context, engine: FilterEngine, theta: Array) -> Array:
     return np.concatenate([theta, log_sd])
 
 
-def held_out_filter(context: Context, parameters: Parameters, theta: Array) -> tuple[FilterEngine, Filtered]:
-    """The filter of the held-out data, whose predictions count; of a single trajectory only the last rows."""
+def held_out_filter(context: Context, parameters: Parameters, theta: Array) -> tuple[FilterEngine, Filtered, Mask]:
+    """The filter of the held-out data, and which of its values [R, C] are held out: of a single trajectory, which it
+    runs through from the start, those of the last rows alone."""
     held, model = context.held, context.model
     packed = context.pack(held)
     problem = context.posed(packed, teacher_forcing(model, packed, 0.0))
@@ -109,17 +110,21 @@ def held_out_filter(context: Context, parameters: Parameters, theta: Array) -> t
     block = np.tile(own.mean(axis=0), (len(held), 1))
     vector = np.concatenate([theta[: parameters.n_shared], block.ravel()])
     engine = FilterEngine.of(problem, local)
-    return engine, engine.filtered(whole_vector(context, engine, vector))
+    return engine, engine.filtered(whole_vector(context, engine, vector)), _held_out(context, engine)
+
+
+def _held_out(context: Context, engine: FilterEngine) -> Mask:
+    counted, held = engine.problem.valued, context.held
+    if len(held) == 1 and held.items[0].label == context.trajectories.items[0].label:
+        later = engine.problem.packed.row_time > context.trajectories.items[0].end
+        counted = counted & later[:, None]
+    return counted
 
 
 def held_out_likelihood(context: Context, parameters: Parameters, theta: Array) -> float:
     """The negative log likelihood of the held-out values, over their number."""
-    engine, found = held_out_filter(context, parameters, theta)
+    _, found, counted = held_out_filter(context, parameters, theta)
     if not found.finite:
         return float("inf")
-    counted = engine.problem.valued
-    if len(context.held) == 1 and context.held.items[0].label == context.trajectories.items[0].label:
-        later = engine.problem.packed.row_time > context.trajectories.items[0].end
-        counted = counted & later[:, None]
     error, variance = found.error[counted], found.variance[counted]
     return float(0.5 * np.mean(error**2 / variance + np.log(2 * np.pi * variance))) if counted.any() else 0.0

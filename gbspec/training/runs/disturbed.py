@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.data import variance_of
 from gbspec.files import finite
@@ -21,7 +21,7 @@ from gbspec.runs import (
     StageRecord,
     WhitenessRecord,
 )
-from gbspec.training.engines import GONE, Filtered, FilterEngine, whiteness
+from gbspec.training.engines import GONE, Filtered, FilterEngine, filter, whiteness
 from gbspec.training.problem import Parameters, autocorrelation_of, in_time
 from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
@@ -48,17 +48,18 @@ def summarise(
     found, model = engine.filtered(vector), context.model
     problem, seen = engine.problem, engine.problem.valued
     log = engine.noise.log
-    errors = np.where(seen, found.error, np.nan)
-    natural = np.where(log, problem.packed.values * (np.exp(-errors) - 1), -errors)
-    blown = seen & ~np.isfinite(errors)
-    rmse = {c.name: _root_mean_square(natural[seen[:, i], i]) for i, c in enumerate(model.channels)}
+    errors, ahead = filter.one_row_ahead(engine, found)
+    with np.errstate(over="ignore", invalid="ignore"):
+        natural = np.where(log, problem.packed.values * (np.exp(-errors) - 1), -errors)
+    blown = seen & ~np.isfinite(found.error)
+    rmse = {c.name: _root_mean_square(natural[ahead[:, i], i]) for i, c in enumerate(model.channels)}
     variances = engine.noise.variances(engine.layout.split(vector)[1])
     noise = {c.name: _root_mean_square(np.sqrt(variances[seen[:, i], i])) for i, c in enumerate(model.channels)}
     with torch.no_grad():
         constants = parameters.constants(torch.from_numpy(theta)).numpy()
     known, names = len(model.constants), [k.name for k in model.learnables]
     scaled = errors / context.scaled(None).channel
-    loss = 0.5 * float(np.mean(scaled[seen] ** 2)) if seen.any() else 0.0
+    loss = 0.5 * float(np.mean(scaled[ahead] ** 2)) if ahead.any() else 0.0
     own = constants[:, [known + i for i in parameters.own]]
     likelihood = _likelihood(engine, found, vector)
     told = [name for name, one in likelihood.noise.items() if one.interval is not None]
@@ -109,16 +110,18 @@ def _channels(
     """How predictions from row to row follow each channel's data, and held-out ones."""
     held = held_out_filter(context, parameters, theta) if len(context.held) else None
     scales, problem, out = context.scaled(None), engine.problem, {}
+    errors, ahead = filter.one_row_ahead(engine, found)
     for i, channel in enumerate(context.model.channels):
         rows = in_time(problem, i)
+        rows = rows[ahead[rows, i]]
         standard = found.error[rows, i] / np.sqrt(found.variance[rows, i])
         learned = context.estimated is not None and bool(np.isfinite(context.estimated.noise[i]))
         out[channel.name] = ChannelRecord(
-            _r2(engine, found, i),
+            _r2(engine, errors, ahead, i),
             None,
             "",
-            _r2(*held, i) if held is not None else None,
-            int(problem.valued[:, i].sum()),
+            _held_r2(*held, i) if held is not None else None,
+            len(rows),
             finite(float(scales.value_weights[i])),
             finite(float(context.estimated.noise[i])) if learned and context.estimated is not None else None,
             1.0 if learned else None,
@@ -127,14 +130,19 @@ def _channels(
     return out
 
 
-def _r2(engine: FilterEngine, found: Filtered, channel: int) -> float | None:
-    """1 minus the mean squared error of predictions from row to row over the variance of the data."""
-    seen = engine.problem.valued[:, channel]
+def _held_r2(engine: FilterEngine, found: Filtered, held: Mask, channel: int) -> float | None:
+    errors, ahead = filter.one_row_ahead(engine, found)
+    return _r2(engine, errors, ahead & held, channel)
+
+
+def _r2(engine: FilterEngine, errors: Array, counted: Mask, channel: int) -> float | None:
+    """1 minus the mean squared error of predictions from row to row over the variance of the values that count."""
+    seen = counted[:, channel]
     variance = variance_of([engine.noise.value[seen, channel]])
     if not variance > 0:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        return finite(1 - float(np.mean(found.error[seen, channel] ** 2)) / variance)
+        return finite(1 - float(np.mean(errors[seen, channel] ** 2)) / variance)
 
 
 def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:

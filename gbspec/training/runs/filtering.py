@@ -175,7 +175,7 @@ def filter_run(
     vector = np.concatenate([parameters.vector(instance.weights, constants), log_sd])
     seen = engine.problem.valued
     if window is not None:
-        early = _measured_place(engine) < int(window)
+        early = filter.measured_before(engine, engine.problem.valued) < int(window)
         seen = seen & early.reshape(-1, 1)
     if hidden is not None:
         masks = [mask[item.times >= item.start] for item, mask in zip(trajectories.items, hidden, strict=True)]
@@ -213,17 +213,6 @@ def _places(instance: GeneratedModule, trajectories: Trajectories, going_on: boo
     longer = continued(instance.info.get("beginnings") if going_on else None, trajectories.items)
     pairs = zip(trajectories.items, longer, strict=True)
     return [learned.get(fingerprint(item), None if found is None else found[0]) for item, found in pairs]
-
-
-def _measured_place(engine: FilterEngine) -> Integers:
-    """The number of rows with a measurement before each key row [R]."""
-    packed, seen = engine.problem.packed, engine.problem.valued.sum(axis=1) > 0
-    out = np.zeros(packed.rows, dtype=np.int64)
-    for i in range(packed.trajectories):
-        rows = np.flatnonzero(packed.row_trajectory == i)
-        rows = rows[np.argsort(packed.row_index[rows])]
-        out[rows] = np.cumsum(seen[rows]) - seen[rows]
-    return out
 
 
 def _known(

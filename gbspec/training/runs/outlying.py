@@ -20,7 +20,8 @@ from gbspec.data import Trajectory, evaluate
 from gbspec.ir import Channel, Model, symbol
 from gbspec.runs import EXACT, ChannelRecord, autocorrelated
 from gbspec.training.problem import Integers, Problem, in_time, residuals_of
-from gbspec.training.runs.verdict import not_followed, rounded
+from gbspec.training.runs.offered import rounded
+from gbspec.training.runs.verdict import not_followed
 
 FAR, FEW, ENOUGH = 6.0, 0.05, 20
 """Residuals beyond `FAR` robust deviations are far from all others, if they are at most `FEW` of at least `ENOUGH`."""

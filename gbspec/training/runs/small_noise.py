@@ -13,7 +13,7 @@ from decimal import Decimal
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines import Filtered, FilterEngine
+from gbspec.training.engines import Filtered, FilterEngine, filter
 
 ROUNDED = 0.5
 """A noise below this part of that which rounding leaves is too small."""
@@ -39,11 +39,13 @@ def said_of_small_noises(engine: FilterEngine, found: Filtered, vector: Array, n
     if not found.finite:
         return []
     out, packed = [], engine.problem.packed
+    errors, ahead = filter.one_row_ahead(engine, found)
     _, log_sd = engine.layout.split(vector)
     for place, channel in enumerate(engine.noise.learned):
         name, seen = engine.problem.model.channels[channel].name, engine.problem.valued[:, channel]
         values, noise = packed.values[seen, channel], float(np.exp(log_sd[place]))
-        missed = float(np.sqrt(np.mean(found.error[seen, channel] ** 2))) if seen.any() else math.nan
+        counted = ahead[:, channel]
+        missed = float(np.sqrt(np.mean(errors[counted, channel] ** 2))) if counted.any() else math.nan
         step = step_of(values)
         rounding = step / math.sqrt(12)
         if name in names and noise < ROUNDED * rounding:

@@ -14,6 +14,7 @@ from gbspec.ir import Channel, Model
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
+from gbspec.training.runs.offered import offered
 
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
@@ -43,9 +44,6 @@ SEVERAL = 3
 
 UNLIKELY = 1e-2
 """The model lacks something where its distances from averages of replicates have a smaller probability."""
-
-SPELLED_OUT = 2
-"""Of so many states each one's statements of a disturbance are written out; of more the first one's show how."""
 
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
@@ -214,22 +212,28 @@ def _length(channel: ChannelRecord) -> float:
 
 
 def autocorrelations(
-    channels: Mapping[str, ChannelRecord], model: Model | None = None, rmse: Mapping[str, float] | None = None
+    channels: Mapping[str, ChannelRecord],
+    model: Model | None = None,
+    rmse: Mapping[str, float] | None = None,
+    intervals: bool = True,
 ) -> list[str]:
-    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given."""
+    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given;
+    `intervals`: whether there are any."""
     found = autocorrelated(channels)
     if not found:
         return []
     listed, factor = _listed(found, channels), widening(channels)
     if model is not None and model.marginal:
         effect = f"{_OVERSTATED}, of what all trajectories share by up to the factor {factor:.2g}"
+    elif not intervals:
+        effect = "an interval would have to be wider for it"
     elif factor > 1:
         effect = f"intervals are {factor:.2g} times as wide as if they were independent"
     else:
         effect = "the weights of the channels, and with them the intervals, take this into account"
     return [
         f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
-        f"measurement. Each row tells less than a new one would: {effect}" + _offer(found, model, rmse or {})
+        f"measurement. Each row tells less than a new one would: {effect}" + offered(found, model, rmse or {})
     ]
 
 
@@ -332,38 +336,6 @@ def _listed(found: list[str], channels: Mapping[str, ChannelRecord]) -> str:
     each = [f"{channels[name].autocorrelation:.3g}" for name in found]
     told = [f"correlation {each[0]} with the next row's", *each[1:]]
     return ", ".join(f"`{name}` ({one})" for name, one in zip(found, told, strict=True))
-
-
-def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> str:
-    """What a model with such residuals lacks: the statements of a disturbance, or more than those it has."""
-    if model is None:
-        return ""
-    if model.marginal:  # not offered together with `diffusion`
-        return ". What may help: further constants that differ between trajectories, or another model"
-    if model.diffusions:
-        return ". The model lacks more: another state, another `diffusion`, or an unknown function"
-    if model.events or model.delays:  # nor with these
-        return ". What may help: another state, an unknown function, or another model"
-    measured = {c.state: c.name for c in model.channels if c.name in found and c.state is not None}
-    if not measured:
-        return ". The statement `diffusion` describes random disturbances of states between measurements"
-    lines, starts, time = [], [], model.time.unit
-    for index, channel in measured.items():
-        state = model.states[index]
-        unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
-        start = rounded(rmse.get(channel, 0.0))
-        lines.append(f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = s_{state.name}`")
-        starts.append(start)
-    names = [f"`{model.states[index].name}`" for index in measured]
-    if len(names) <= SPELLED_OUT:
-        return f". To describe disturbances of {' and '.join(names)}, add the lines {', '.join(lines)}"
-    others = f"{', '.join(names[1:])} (from {', '.join(starts[1:])})"
-    return f". To describe disturbances of {names[0]}, add the lines {lines[0]}; likewise for {others}"
-
-
-def rounded(size: float) -> str:
-    """A start of this size, as one writes it: 0.3, 10."""
-    return f"{float(f'{size:.1g}'):g}" if math.isfinite(size) and size > 0 else "0.1"
 
 
 def inseparable(model: Model) -> list[str]:

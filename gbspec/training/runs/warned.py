@@ -43,10 +43,14 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         return [*far, *verdict.innovations(result.channels or {}, result.likelihood, model)]
     own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
     shared = {name: sd for name, sd in result.sd.items() if name not in own}
-    deviations = np.array(list(shared.values())) if shared else result.own_sd
+    each = np.array(list(shared.values()), dtype=np.float64)
+    deviations = each if shared else result.own_sd
     at_rest = result.misjudged or (shared and shared.keys() <= result.bounded)  # what has no interval is told by itself
     if not deviations.size or np.isfinite(deviations).any() or at_rest:
-        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse)]
+        # A standard deviation of zero is that of a constant at a bound, which has no interval either.
+        every = np.concatenate([each, np.ravel(result.own_sd)])
+        certain = model is None or bool(model.networks) or bool((np.isfinite(every) & (every > 0)).any())
+        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse, certain)]
     if model is not None and model.marginal:
         return []
     if not result.finished:  # that is said by itself

@@ -1,4 +1,6 @@
 from .ahead import from_starts as from_starts
+from .ahead import measured_before as measured_before
+from .ahead import one_row_ahead as one_row_ahead
 from .ahead import steps_ahead as steps_ahead
 from .ahead import with_smoothed_starts as with_smoothed_starts
 from .engine import GONE as GONE

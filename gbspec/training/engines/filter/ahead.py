@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.training.engines.filter.engine import FilterEngine
 from gbspec.training.engines.filter.layout import At
 from gbspec.training.engines.filter.recursion import Moment, predicted
@@ -16,7 +16,7 @@ from gbspec.training.problem import Integers
 
 def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int) -> Array:
     """The prediction of each measured value [R, C] from the measurements up to `steps` rows before, in the unit of the
-    channel; NaN in the first rows of a trajectory."""
+    channel; NaN in the rows of a trajectory that have none so early: these are predicted from its start alone."""
     theta, log_sd = engine.layout.split(vector)
     at, legs, problem = At.of(engine.layout, theta), engine.legs, engine.problem
     following = _following(engine)
@@ -27,7 +27,7 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
     while True:
         going = np.flatnonzero(leg >= 0)
         if not len(going):
-            return out
+            return np.where((measured_before(engine, found.seen, steps) > 0)[:, None], out, np.nan)
         leg, passed = leg[going], passed[going]
         moment = Moment(moment.m[going], moment.p[going])
         moment = predicted(moment, engine.flows(at, leg, moment, shares=found.shares[leg]))
@@ -38,6 +38,28 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
             reading = engine.readings(at, log_sd, rows[there], moment.of(there))
             out[rows[there]] = np.where(engine.noise.log, np.exp(np.where(engine.noise.log, reading.y, 0.0)), reading.y)
         leg = np.where((passed == steps) & (rows >= 0), -1, following[leg])
+
+
+def measured_before(engine: FilterEngine, seen: Mask, steps: int = 1) -> Integers:
+    """How many rows of its trajectory, at least `steps` before each key row [R], have a measurement that is `seen`
+    [R, C]."""
+    packed, some = engine.problem.packed, np.asarray(seen.sum(axis=1) > 0, dtype=np.bool_)
+    out = np.zeros(packed.rows, dtype=np.int64)
+    for i in range(packed.trajectories):
+        rows = np.flatnonzero(packed.row_trajectory == i)
+        rows = rows[np.argsort(packed.row_index[rows])]
+        out[rows[steps:]] = np.cumsum(some[rows])[: max(len(rows) - steps, 0)]
+    return out
+
+
+def one_row_ahead(engine: FilterEngine, found: Filtered) -> tuple[Array, Mask]:
+    """Measured values minus predictions one row ahead [R, C], of logarithms where the noise is log-normal, and where
+    there is such a prediction: before a trajectory's first measured row stands only the wide spread of its start, and
+    an error from there says nothing of the model."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = np.asarray(engine.noise.value - found.mean, dtype=np.float64)
+    valued = engine.problem.valued
+    return errors, valued & (measured_before(engine, valued) > 0)[:, None]
 
 
 def from_starts(engine: FilterEngine, vector: Array) -> Array:
