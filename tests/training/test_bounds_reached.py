@@ -80,8 +80,9 @@ def test_a_constant_far_closer_to_a_bound_than_its_standard_deviation_is_at_it(
 
 @pytest.mark.parametrize(("rate", "stopped"), [(5.0, True), (1.5, False)])
 def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
-    (tmp_path / "m.gb").write_text(TEXT)
-    rows = "".join(f"{t},{2.718281828 ** (-rate * t)}\n" for t in (0.1, 0.2, 0.4, 0.8))
+    (tmp_path / "m.gb").write_text(TEXT.replace("state x", "time t from 0\nstate x"))
+    noisy = zip((0.1, 0.2, 0.4, 0.8, 1.0), (1.01, 0.99, 0.995, 1.02, 0.99), strict=True)
+    rows = "".join(f"{t},{2.718281828 ** (-rate * t) * factor}\n" for t, factor in noisy)
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert any("`k` ended at its bound 2" in warning for warning in fit.warnings) is stopped
