@@ -128,11 +128,13 @@ def bifurcate(
     """
     from gbspec.analysis import BifurcationOptions, Certainty, CycleOptions, with_uncertainty
     from gbspec.analysis import bifurcate as run
+    from gbspec.report import units
 
     _without_events(source, "bifurcate")
     _varied(source, over)
     subject = system(source)
-    found = run(subject, over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings)))
+    options = BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings))
+    found = replace(run(subject, over, low, high, options), units=units(source.model))
     if source.run is None or source.member is None:
         return found
     covariance = source.run.certainties(source.member).covariance

@@ -1,4 +1,5 @@
 from .collect import Fitted as Fitted
+from .collect import units as units
 from .files import diagram as diagram
 from .files import draw as draw
 from .files import plane as plane

@@ -15,8 +15,9 @@ from gbspec import frontend
 from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
-from gbspec.operations import analysing
+from gbspec.operations import analysing, models
 from gbspec.report import files as figures
+from gbspec.report.figures import diagram
 from tests.analysis.conftest import model_of, nearly_true
 
 
@@ -93,3 +94,11 @@ def test_members_that_disagree_on_a_fold_give_it_no_interval(write_run: Callable
     folds = [point for point in json.loads(result.stdout)["special"] if point["type"] == "fold"]
     assert [point["value"] for point in folds] == pytest.approx([-0.3849002, 0.3849002], abs=1e-7)
     assert [point["interval"] for point in folds] == [None, None]
+
+
+def test_the_axes_of_a_diagram_have_units(tmp_path: Path) -> None:
+    text = "model m\ntime t : s\nstate x : mol/L in [0, 5] = 1\nconst k : 1/s = 1\nconst f : mol/L/s = 1\n"
+    (tmp_path / "m.gb").write_text(text + "x' = f - k*x\nobserve x\n")
+    found = analysing.bifurcate(models.subject(tmp_path / "m.gb", {}, Findings()), "f", 0.5, 2.0)
+    panel = diagram.figure(found).rows[0][0].rows[0].panels[0]
+    assert (panel.x.unit, panel.y.unit) == ("mol/L/s", "mol/L")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import polars as pl
 
@@ -18,7 +18,8 @@ from gbspec.frames import Shown, of_rows
 class Diagram(Shown):
     """A bifurcation diagram of `states` over `parameter` in `low`..`high`.
 
-    `trained` is the parameter's trained (else plausible) range, None if unknown.
+    `trained` is the parameter's trained (else plausible) range, None if unknown; `units` are those of the parameter and
+    the states, by name, where they have any.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Diagram(Shown):
     special: tuple[SpecialPoint, ...]
     cycles: tuple[CycleBranch, ...]
     trained: tuple[float, float] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def to_frame(self) -> pl.DataFrame:
         """One row for each steady state, then for each cycle: `kind`, `branch`, the parameter, states, `stable`.

@@ -44,7 +44,7 @@ def figure(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None
     Stable parts are solid, unstable ones dashed; cycles are drawn by their largest and smallest values. Parts far from
     the data are faint; the range in which the model was trained is white, the rest grey.
     """
-    panels = tuple(_panel(shown, others, truth, state, units or {}) for state in range(len(shown.states)))
+    panels = tuple(_panel(shown, others, truth, state, units or shown.units) for state in range(len(shown.states)))
     return Figure(((Block(wrapped(panels, ACROSS), "below"),),))
 
 
