@@ -53,3 +53,33 @@ def test_a_better_fit_of_whole_solutions_that_is_left_is_told(better: bool, told
     note = stage.step(stage.begin(late), 0).note
     assert "the fit of intervals was kept" in note
     assert (f"had {losses[0]:.3g}. `--forcing autoregressive` fits them alone" in note) is told
+
+
+@pytest.mark.parametrize(
+    ("late", "earlier", "margin", "kept"),
+    [
+        ((1.0, 2.1), (1.0, 3.0), 1.0, True),  # whole solutions gather 2.1 times the loss; sqrt(2.1) is 1.449
+        ((1.0, 2.1), (1.0, 3.1), 1.0, False),
+        ((1.0, 1.9), (1.0, 2.0), 1.0, False),  # not clearly disturbed: the product decides
+        ((1.0, 1.9), (0.9, 2.0), 1.0, True),
+        ((1.0, 100.0), (1.0, 990.0), 1.0, True),
+        ((1.0, 100.0), (1.0, 1010.0), 1.0, False),
+        ((1.0, 100.0), (1.0, 570.0), 3.0, True),  # of segments: sqrt(100/3) is 5.77
+        ((1.0, 100.0), (1.0, 580.0), 3.0, False),
+        ((1.0, np.inf), (1.0, 5.0), 1.0, True),  # whole solutions that blow up
+        ((1.0, 5.0), (1.0, np.inf), 1.0, False),
+        ((1.0, 5.0), (np.nan, np.nan), 1.0, False),
+        ((1.0, 5.0), (0.0, 9.0), 1.0, True),
+    ],
+)
+def test_the_fit_of_intervals_is_kept_in_a_disturbed_system(
+    late: tuple[float, float], earlier: tuple[float, float], margin: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Losses of intervals and of whole solutions, of the fit of whole solutions and of that of intervals."""
+    ready = prepared()
+    whole, other = ready.context.engine(ready.parameters, 0.0), ready.theta + 0.1
+    stage = ChoiceOfFit(lambda theta: 0.0, whole, other, 0, margin)
+    monkeypatch.setattr(ChoiceOfFit, "_losses", lambda self, a, b: late if a is ready.theta else earlier)
+    found = stage.step({"theta": ready.theta}, 0)
+    assert (found.state["theta"] is not ready.theta) is kept
+    assert ("was kept" in found.note) is kept

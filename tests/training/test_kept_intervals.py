@@ -12,6 +12,7 @@ from gbspec.data.trajectories import Signal
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import Outcome, State
+from gbspec.training.problem import Bijections
 from gbspec.training.recipe.stages import ChoiceOfFit
 from gbspec.training.starts import refit_starts
 from tests.training.conftest import model_of, trajectory
@@ -49,18 +50,43 @@ def fitted(path: Path) -> Run:
     return train(model_of(TEXT), table(), TrainOptions(workers=1, effort="low"), path)
 
 
+def leave(self: ChoiceOfFit, state: State, iteration: int) -> Outcome:
+    """Keeps the fit of whole solutions."""
+    return Outcome(state, 1.0, True)
+
+
+def of_covariance(run: Run) -> float:
+    """The standard deviation of the constant that predictions have."""
+    known = run.certainties().covariance
+    assert known is not None
+    return float(known.deviations(np.zeros((1, known.vectors.shape[1])), np.eye(1))[0])
+
+
 def test_intervals_contain_both_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ChoiceOfFit, "step", lambda self, state, iteration: Outcome(state, 1.0, True))
+    monkeypatch.setattr(ChoiceOfFit, "step", leave)
     whole = fitted(tmp_path / "whole").fit.constants["k"]
     monkeypatch.setattr(ChoiceOfFit, "step", keep)
     run = fitted(tmp_path / "kept")
     kept = run.fit.constants["k"]
     assert [one.name for one in run.fit.members[0].stages][-1] == "choice"
-    assert kept.value != whole.value
     assert kept.interval is not None and whole.interval is not None and kept.sd is not None
     assert kept.interval[0] < whole.value < kept.interval[1]
-    assert kept.sd >= abs(kept.value - whole.value)
-    known = run.certainties().covariance
-    assert known is not None
-    of_whole = known.deviations(np.zeros((1, known.vectors.shape[1])), np.eye(1))[0]
-    assert kept.sd == pytest.approx(float(np.hypot(of_whole, kept.value - whole.value)), rel=1e-3)
+    maps = Bijections.of((run.model.learnables[0],))
+    at, other = (maps.from_natural(np.array([one.value])) for one in (kept, whole))
+    apart = float((maps.derivative(at) * (other - at))[0])
+    assert abs(apart) > 1e-4
+    assert kept.sd == pytest.approx(float(np.hypot(of_covariance(run), apart)), rel=1e-3)
+
+
+def test_a_fit_of_whole_solutions_that_went_astray_is_no_second_estimate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kept one follows whole solutions more closely: what separates them is the error of the other one."""
+
+    def after_a_bad_end(self: ChoiceOfFit, state: State, iteration: int) -> Outcome:
+        state["theta"][...] += 1.0  # the mark of the stage before is this array
+        return keep(self, state, iteration)
+
+    monkeypatch.setattr(ChoiceOfFit, "step", after_a_bad_end)
+    run = fitted(tmp_path / "kept")
+    assert run.fit.constants["k"].sd == pytest.approx(of_covariance(run), rel=1e-3)

@@ -50,8 +50,8 @@ def variables_of(model: Model, found: Prediction) -> Array:
 
 
 def restarts(item: Trajectory) -> int:
-    """How often an input changes."""
-    return sum(len(signal.times) for signal in item.inputs)
+    """At how many times an input changes."""
+    return len({float(time) for signal in item.inputs for time in signal.times})
 
 
 def step_to_compare(run: Run, number: int, item: Trajectory) -> float | None:

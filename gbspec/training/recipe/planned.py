@@ -59,10 +59,10 @@ class Planned:
 
 
 def left_for_intervals(marks: Mapping[str, Array]) -> Array | None:
-    """The fit of whole solutions, if that of single intervals was kept in its place."""
-    if StageName.CHOICE not in marks:
+    """The fit of whole solutions, if that of single intervals was kept in its place and is the last one."""
+    if StageName.CHOICE not in marks or StageName.WHOLE in marks:
         return None
-    whole = marks.get(StageName.WEIGHTS, marks[StageName.AUTOREGRESSIVE])
+    whole = marks[StageName.WEIGHTS if StageName.WEIGHTS in marks else StageName.AUTOREGRESSIVE]
     return None if np.array_equal(marks[StageName.CHOICE], whole) else whole
 
 

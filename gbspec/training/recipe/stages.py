@@ -53,13 +53,8 @@ class InitialStates:
 CLEARLY = 3.0
 """A mean of squares is clearly larger than another one if it is so by this many standard deviations."""
 
-TINY = 1e-300
-"""The least loss that is divided by."""
-
 MUCH = 0.9
 """A loss of whole solutions below this part of another one is told."""
-
-
 DISTURBED = 2.0
 """Systems count as disturbed where the loss of whole solutions is more than this many times that of intervals."""
 
@@ -73,10 +68,13 @@ class ChoiceOfFit:
     with the smaller product of its errors is chosen: only ratios of errors matter, not their sizes.
 
     Where disturbances are clearly larger than the noise, residuals of whole solutions gather what happened between all
-    rows before: with g the loss of whole solutions divided by that of intervals, they tell about as much as n/g
-    independent ones would, and a fit of them follows disturbances that another record will not have. There the fit of
-    intervals is also kept if its loss of whole solutions is less than sqrt(g) times the other one's (measured:
-    docs/studies/choice.md). One step.
+    rows before. Let g be the loss of whole solutions divided by that of intervals. Then n such residuals tell about as
+    much as n/g independent ones, and a fit of them follows disturbances that another record will not have. If g is
+    above `DISTURBED`, the fit of intervals is also kept where
+
+        loss of its whole solutions < sqrt(g) * that of the fit of whole solutions
+
+    (measured: docs/studies/choice.md). One step.
 
     `short` gives the loss of intervals, or of short segments, at a vector; `earlier` is the fit of these. Of noisy data
     without disturbances the loss of whole solutions is at most about `margin` times that.
@@ -104,8 +102,7 @@ class ChoiceOfFit:
             return Outcome(state, whole, True)
         refitted = refit_starts(self.free, self.earlier, self.seed)
         other_interval, other_whole = self._losses(self.earlier, refitted)
-        gathered = whole / max(self.margin * other_interval, TINY)
-        disturbed = gathered > DISTURBED and other_whole < np.sqrt(gathered) * whole
+        disturbed = _disturbed(whole, other_whole, self.margin * other_interval)
         if disturbed or _product(other_interval, other_whole) < _product(interval, whole):
             kept = f"{WHOLE_WORSE}; the fit of intervals was kept{_instead(whole, other_whole)}"
             return Outcome({"theta": refitted}, other_interval, True, kept)
@@ -130,6 +127,11 @@ def _instead(whole: float, kept: float) -> str:
         f". Its whole solutions have the loss {kept:.3g}; the fit of whole solutions, which was left, had {whole:.3g}. "
         "`--forcing autoregressive` fits them alone and may reach that, as predictions of many rows need"
     )
+
+
+def _disturbed(whole: float, other_whole: float, interval: float) -> bool:
+    """Whether whole solutions gather disturbances, and the other fit follows them no worse than these explain."""
+    return whole > DISTURBED * interval and other_whole**2 * interval < whole**3
 
 
 def _product(interval: float, whole: float) -> float:

@@ -3,19 +3,20 @@ kept and that of whole solutions left, those below.
 
 If a model is right, both estimate the same constants; what separates them beyond their standard deviations shows that
 it is not (Hausman 1978). Residuals of single intervals say nothing of that: a fit of them may be precise and wrong. So
-constants have the standard deviations that the residuals of whole solutions give them, as predictions have, with the
-difference of both fits added in squares: their intervals contain both estimates.
+constants have the standard deviations that the residuals of whole solutions give them, as predictions have, and where
+the fit that was left follows these more closely, the difference of both fits is added in squares: on the scale on which
+a constant is trained, its interval contains both estimates.
 """
 
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from gbspec.arrays import Array
 from gbspec.runs import Covariance
+from gbspec.training.engines import Engine, residual_vector
 from gbspec.training.optimise import Certainty
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.runs.summary import MemberResult
 
 
@@ -31,16 +32,22 @@ def take_deviations(result: MemberResult, parameters: Parameters, certainty: Cer
 
 
 def deviations_of_kept(
-    parameters: Parameters, kept: Array, left: Array, covariance: Covariance | None
+    engine: Engine, kept: Array, left: Array | None, covariance: Covariance | None
 ) -> dict[str, float]:
-    """The standard deviation of each constant that trajectories share, by name; empty where the covariance of whole
-    solutions is not known."""
+    """The standard deviation of each constant that trajectories share, by name, in natural units; empty where the
+    covariance of whole solutions, which `engine` solves, is not known. `left` is the fit of these; None: `kept` is."""
     if covariance is None or not covariance.constants:
         return {}
-    known, count = len(parameters.model.constants), len(covariance.constants)
-    with torch.no_grad():
-        at, other = (parameters.constants(torch.from_numpy(one)).numpy()[:, known:] for one in (kept, left))
-    names = [one.name for one in parameters.model.learnables]
-    between = {names[i]: float(np.abs(other - at)[:, i].max()) for i in parameters.shared}
+    count, parameters = len(covariance.constants), engine.parameters
     found = covariance.deviations(np.zeros((count, covariance.vectors.shape[1])), np.eye(count))
-    return {name: float(np.hypot(sd, between[name])) for name, sd in zip(covariance.constants, found, strict=True)}
+    between = np.zeros(count)
+    if left is not None and _loss(engine, left) < _loss(engine, kept):
+        slopes = parameters.bijections(parameters.shared).derivative(kept[parameters.places])
+        between = np.abs(slopes * (left - kept)[parameters.places])
+    names = [parameters.model.learnables[i].name for i in parameters.shared]
+    assert tuple(names) == covariance.constants, "it is that of this layout"
+    return dict(zip(names, map(float, np.hypot(found, between)), strict=True))
+
+
+def _loss(engine: Engine, theta: Array) -> float:
+    return mean_loss(residual_vector(engine, theta))

@@ -372,7 +372,9 @@ class _Runner:
         take_deviations(result, self.parameters, position.certainty, factor)
         left = left_for_intervals(position.marks)
         if position.finished and left is not None:
-            result.sd |= deviations_of_kept(self.parameters, position.best, left, known.covariance)
+            engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
+            other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
+            result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
         if position.finished and not marginal:
             for without in (without_tied, without_misjudged):
                 result.tied += without(result, self.context, self.parameters, position.best, names)

@@ -91,7 +91,9 @@ class MemberResult:
     vanished: frozenset[str] = frozenset()
     """Learned constants of noises that vanish where the model has values exactly, which makes a likelihood infinite."""
     bounded: frozenset[str] = frozenset()
-    """Shared constants that ended at bounds, and those that are tied to them."""
+    """Shared constants that ended at bounds,"""
+    tied_to_bounds: frozenset[str] = frozenset()
+    """and those that have no interval since they follow from these."""
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
 

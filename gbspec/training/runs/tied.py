@@ -91,7 +91,7 @@ def without_tied(
             context, engine, theta, {name: at[name] for name in ended}, _intervals(result, context), threshold
         )
         result.sd |= {one.name: math.nan for one in followed}
-    result.bounded |= frozenset((*tied, *(one.name for one in followed)))
+    result.tied_to_bounds |= frozenset((*tied, *(one.name for one in followed)))
     # Profiles of models with learned noises are not offered.
     helps = HELPS if context.model.marginal else f"{SHOWN}. {HELPS}"
     return [*said_of_tied(tied, ended, helps), *(f"{one.words}. {helps}" for one in followed)]

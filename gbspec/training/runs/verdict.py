@@ -60,7 +60,7 @@ def verdicts(
     channels: Mapping[str, ChannelRecord], model: Model | None = None, bounded: Iterable[str] = ()
 ) -> list[str]:
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
-    leave more than half of the variance; `bounded` are the constants that ended at bounds, or are tied to one."""
+    leave more than half of the variance; `bounded` are the constants that ended at bounds."""
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     if names := " and ".join(f"`{name}`" for name in sorted(bounded)):
         wider = f"what may help: wider bounds of {names}, if values beyond them are plausible, "

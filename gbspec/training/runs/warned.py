@@ -45,7 +45,8 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     shared = {name: sd for name, sd in result.sd.items() if name not in own}
     each = np.array(list(shared.values()), dtype=np.float64)
     deviations = each if shared else result.own_sd
-    at_rest = result.misjudged or (shared and shared.keys() <= result.bounded)  # what has no interval is told by itself
+    told = result.bounded | result.tied_to_bounds  # by themselves, with the reason why they have no interval
+    at_rest = result.misjudged or (shared and shared.keys() <= told)
     if not deviations.size or np.isfinite(deviations).any() or at_rest:
         # A standard deviation of zero is that of a constant at a bound, which has no interval either.
         every = np.concatenate([each, np.ravel(result.own_sd)])
