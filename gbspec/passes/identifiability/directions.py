@@ -172,11 +172,11 @@ def _instead(found: Directions, basis: Array, order: int) -> Directions:
 
 def _precise_basis(question: Question, order: int, effort: Effort) -> Array | None:
     """The directions of one order with many digits, in the constants' own units; None where they were not found."""
-    algebra, rng = Precise(order, order, effort), np.random.default_rng(SEED + order)
+    model, rng = question.model, np.random.default_rng(SEED + order)
     base = next(bases_of(question, Branches(question), rng), None)
-    model = question.model
-    varied = None in question.starts or model.conditions or model.inputs or model.doses or model.time.start is None
-    lines = _lines(question, order) if varied else 1  # all lines are the same
+    moving = None in question.starts or model.conditions or model.inputs or model.doses or model.time.start is None
+    varied = bool(moving)
+    algebra, lines = Precise(order, order, effort, varied), _lines(question, order) if varied else 1  # all are the same
     basis = None if base is None else null_at(base, algebra, lines, rng)
     if base is None or basis is None:
         return None
