@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from gbspec.diagnostics import Findings
 from gbspec.passes.identifiability import identifiability
+from gbspec.passes.identifiability.directions import Directions, find
+from gbspec.passes.identifiability.question import pose
+from gbspec.passes.identifiability.series import Effort
+from gbspec.passes.identifiability.undecided import Open, Why
 from tests.texts import model_of
 
 EPIDEMIC = """model epidemic
@@ -66,6 +72,35 @@ def sets(text: str) -> tuple[bool, list[set[str]]]:
 @pytest.mark.parametrize("n", ["1e3", "102225", "1e5", "1e7"])
 def test_a_known_population_of_any_size_tells_all_constants_of_an_epidemic_apart(n: str) -> None:
     assert sets(EPIDEMIC.format(population=f"const N = {n}", n=n)) == (True, [])
+
+
+def copies(n: str, count: int) -> str:
+    """Epidemics that do not affect each other, as one model."""
+    head, body = EPIDEMIC.format(population=f"const N = {n}", n=n).split("\nstate S", 1)
+    body = re.sub(r"\bI0\b", "J", f"state S{body}")
+    parts = [re.sub(r"\b(S|I|b|g|rho|J|cases)\b", rf"\g<1>{j}", body) for j in range(count)]
+    return head + "\n" + "".join(parts)
+
+
+@pytest.mark.parametrize("n", ["1e5", "1e6"])
+def test_several_epidemics_are_examined_with_many_digits_too(n: str) -> None:
+    assert sets(copies(n, 3)) == (True, [])
+
+
+@pytest.mark.parametrize("budget", [3e6, 6e6, 8e6, 9e6, 1.1e7, 2e7])
+def test_what_may_be_rounding_is_not_an_answer(budget: float) -> None:
+    """Where the effort ends before numbers of many digits have decided, the question is open."""
+    found = identifiability(model_of(EPIDEMIC.format(population="const N = 1e5", n="1e5")), Findings(), budget)
+    assert found.sets == () and found.decided is (found.reason == "")
+
+
+def test_an_open_question_says_that_what_is_left_may_be_rounding() -> None:
+    question = pose(model_of(EPIDEMIC.format(population="const N = 1e5", n="1e5")), all_states=False)
+    budgets = [k * 5e5 for k in range(4, 30)]
+    found = [find(question, Effort(budget)) for budget in budgets]
+    left = [each.why if isinstance(each, Open) else each.basis.shape[1] for each in found]
+    assert set(left) == {Why.EFFORT, Why.ROUNDING, 0}
+    assert isinstance(found[-1], Directions) and isinstance(find(question, Effort()), Directions)
 
 
 @pytest.mark.parametrize("n", ["1e3", "1e5", "1e7"])

@@ -90,6 +90,15 @@ def test_a_threshold_that_no_solution_passes_is_told(tmp_path: Path) -> None:
     assert any("`lag` was not learned" in text and "a start that solutions pass" in text for text in run.fit.warnings)
 
 
+def test_what_no_data_can_show_is_told_once(tmp_path: Path) -> None:
+    """Nothing is said of data that would help."""
+    text = ALONE.replace("learn lag = 0.4 in [0, 2]", "learn z = 1 in [0, 2]").replace("if(t > lag, 1, 0)", "(1 + 0*z)")
+    run = train(model_of(text), measured(1), replace(FAST, backend="native"), tmp_path / "run")
+    assert run.fit.constants["z"].interval is None
+    (said,) = [text for text in run.fit.warnings if "`z`" in text]
+    assert "`z` cannot be learned from any data (GB402)" in said and "Data that show it" not in said
+
+
 def test_constants_that_occur_only_where_values_jump() -> None:
     assert only_in_jumps(model_of(LATE)) == ("lag",)
     assert only_in_jumps(model_of(LATE.replace("1, 0)", "1, lag)"))) == ()

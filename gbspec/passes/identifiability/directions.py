@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import comb
@@ -33,6 +34,8 @@ PROBED = 1e-6
 """A made-up term of which a smaller fraction is left counts as compensated."""
 DECOMPOSITION = 0.5
 """What the decompositions of a system cost, in multiplications, by its rows, columns and the smaller of both."""
+EARLY = 0.25
+"""The part of the effort left that numbers of many digits may take at the first order at which the answer settles."""
 LINES = 160
 SEED = 20
 
@@ -80,7 +83,8 @@ def find(question: Question, effort: Effort) -> Directions | Open:
     enough where made-up terms show that, three with unmeasured states where an unknown function of everything is in
     each rate: each unmeasured state may need one more derivative before it affects an output. From known starts, at
     which rates may cancel as in a steady state, each state may need one more too. Directions that exact symmetries
-    explain are decided before, and where orders or effort end first: no further order excludes them.
+    explain are decided before, and where orders or effort end first: no further order excludes them. Others may be
+    rounding: numbers of many digits decide, at a low order where they leave nothing, else at the last.
     """
     reach = Reach(question).orders()
     first = int(np.max(reach[np.isfinite(reach)], initial=0.0))
@@ -89,7 +93,7 @@ def find(question: Question, effort: Effort) -> Directions | Open:
     needed = 3 if question.hidden and not question.probed else 2
     past: list[Directions] = []
     branches = Branches(question)
-    silent, ended = 0, None
+    silent, ended, early = 0, None, True
     for order in range(1, MOST_ORDERS + 1):
         if order > last + silent:
             break
@@ -108,40 +112,71 @@ def find(question: Question, effort: Effort) -> Directions | Open:
         settled = order > first and len(past) >= needed and len(ranks) == 1
         if settled and _explained(question, found):
             return found
+        if settled and early:
+            early, apart = False, _all_apart(question, found, effort)
+            if apart is not None:
+                return apart
         if settled and order > first + cancelling:
             return _precisely(question, found, (found.order, last), effort) or found
     if past and _explained(question, past[-1]):
         return past[-1]
     if past and ended is None:
         more = _precisely(question, past[-1], (first + cancelling + 1, last), effort)
-        if more is not None:
+        if isinstance(more, Directions):
             return more
     return ended or Open(Why.ORDERS if past else Why.COMPENSATED, min(last + silent, MOST_ORDERS))
 
 
-def _precisely(question: Question, found: Directions, orders: tuple[int, int], effort: Effort) -> Directions | None:
-    """The directions that numbers of many digits leave, at two orders in a row: what excludes a direction may be
-    smaller than rounding beside the rest. None where that is not known, or no other than what was `found`."""
-    if found.functions or found.own or not examinable(question):
+def _by_digits(question: Question, found: Directions) -> bool:
+    """Whether numbers of many digits decide a question."""
+    return not found.functions and not found.own and examinable(question)
+
+
+def _all_apart(question: Question, found: Directions, effort: Effort) -> Directions | None:
+    """No directions, if numbers of many digits leave none at the order of what was `found`: higher orders only exclude
+    more. They may take a part of the effort."""
+    if not _by_digits(question, found):
+        return None
+    share = Effort(max(effort.left, 0.0) * EARLY)
+    given = share.left
+    basis = _precise_basis(question, found.order, share)
+    if math.isfinite(given):
+        effort.left -= given - max(share.left, 0.0)
+    return _instead(found, basis, found.order) if basis is not None and not basis.shape[1] else None
+
+
+def _precisely(
+    question: Question, found: Directions, orders: tuple[int, int], effort: Effort
+) -> Directions | Open | None:
+    """The directions that numbers of many digits leave, at two orders in a row or as many as were `found`: what
+    excludes a direction may be smaller than rounding beside the rest. Open where they do not come to an answer, so that
+    what was found may be rounding; None for questions that they do not decide."""
+    if not _by_digits(question, found):
         return None
     count = found.basis.shape[1] + found.doubtful.shape[1] if orders[0] == found.order else None
-    for order in range(orders[0], max(orders[1], orders[0] + 2) + 1):
+    last = max(orders[1], orders[0] + 2)
+    for order in range(orders[0], last + 1):
         basis = _precise_basis(question, order, effort)
         if basis is None:
-            return None
+            return Open(Why.ROUNDING, order)
         if basis.shape[1] in (0, count):
-            return replace(found, basis=basis, doubtful=np.zeros((len(basis), 0)), faint=(), order=order)
+            return _instead(found, basis, order)
         count = basis.shape[1]
-    return None
+    return Open(Why.ORDERS, last)
+
+
+def _instead(found: Directions, basis: Array, order: int) -> Directions:
+    """What was found, with the directions that numbers of many digits leave."""
+    return replace(found, basis=basis, doubtful=np.zeros((len(basis), 0)), faint=(), order=order)
 
 
 def _precise_basis(question: Question, order: int, effort: Effort) -> Array | None:
     """The directions of one order with many digits, in the constants' own units; None where they were not found."""
-    algebra, rng = Precise(order, order, effort), np.random.default_rng(SEED + order)
+    model, rng = question.model, np.random.default_rng(SEED + order)
     base = next(bases_of(question, Branches(question), rng), None)
-    model = question.model
-    varied = None in question.starts or model.conditions or model.inputs or model.doses or model.time.start is None
-    lines = _lines(question, order) if varied else 1  # all lines are the same
+    moving = None in question.starts or model.conditions or model.inputs or model.doses or model.time.start is None
+    varied = bool(moving)
+    algebra, lines = Precise(order, order, effort, varied), _lines(question, order) if varied else 1  # all are the same
     basis = None if base is None else null_at(base, algebra, lines, rng)
     if base is None or basis is None:
         return None

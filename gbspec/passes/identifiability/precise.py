@@ -8,7 +8,7 @@ digits the rank of the same system does not depend on the units and sizes of any
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,14 @@ def _context() -> Any:  # mpmath has no types
 
 @dataclass(frozen=True)
 class Precise(Algebra):
-    """The same arithmetic with numbers of many digits, in arrays of objects."""
+    """The same arithmetic with numbers of many digits, in arrays of objects; `varied`: whether series depend on s."""
+
+    varied: bool = True
+
+    @cached_property
+    def monomials(self) -> tuple[tuple[int, int], ...]:
+        """The same exponents; of s none but 0 and 1 where series do not depend on it."""
+        return tuple((i, j) for i, j in super().monomials if self.varied or j <= 1)
 
     def zeros(self, shape: tuple[int, ...]) -> Array:
         """An array of zeros of many digits."""

@@ -22,6 +22,7 @@ class Why(Enum):
     SIZE = "the expansion is too large"
     EFFORT = "the effort is spent"
     VALUES = "an expression has no finite value"
+    ROUNDING = "what is left may be rounding, and numbers of more digits, which tell that, were not found"
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,12 @@ def reason(question: Question, found: Open) -> str:
         what = f"up to order {found.order} of an expansion in time {functions} can still follow any solution"
     elif found.why is Why.ORDERS:
         what = f"the answer still changes at order {found.order} of an expansion in time, the highest that is tried"
+    elif found.why is Why.ROUNDING:
+        what = (
+            f"what order {found.order} of an expansion in time leaves open may be rounding, and numbers of more digits,"
+            " which would show that, were not found with the work that `check` does for one model"
+        )
+        return f": {what}{_AFTERWARDS}"
     else:
         states, learned = len(question.model.states), len(question.model.learnables)
         what = (

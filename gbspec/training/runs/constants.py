@@ -16,7 +16,7 @@ from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import not_followed
+from gbspec.training.runs.verdict import named_inseparable, not_followed
 
 NEARBY, AWAY = 0.1, 10
 """Without a standard deviation a constant is near a bound that it differs from by this part, where bounds are orders
@@ -221,7 +221,7 @@ def said_of_constants(
         for member, name, bound in meant
         if (name, bound) not in at_bounds(model, results[member].constants)
     }
-    alone = [] if model.marginal else unsettled(constants, ended, results)
+    alone = [] if model.marginal else unsettled(constants, ended, results, model)
     near = [] if model.marginal or model.diffusions else near_bounds(model, ended, results)
     return [*unclear, *ended_at_bounds(meant, astray, beside), *near, *alone]
 
@@ -252,6 +252,7 @@ def unsettled(
     constants: Mapping[str, ConstantRecord],
     ended: Sequence[tuple[int, str, float]],
     results: Mapping[int, MemberResult],
+    model: Model | None = None,
 ) -> list[str]:
     """Warnings of constants that alone of all have no interval, and for no reason that is told elsewhere: shared ones,
     and those of single trajectories."""
@@ -260,7 +261,11 @@ def unsettled(
     told = " ".join(text for one in results.values() for text in (*one.tied, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
     found = [n for n, one in shared.items() if one.sd is None and n not in at_ends and f"`{n}`" not in told]
-    if not found or all(record.sd is None for record in shared.values()):
+    if all(record.sd is None for record in shared.values()):
+        return own
+    unseen = named_inseparable(model) if found and model is not None else set()  # more steps would not help
+    found = [name for name in found if name not in unseen]
+    if not found:
         return own
     names, verb = ", ".join(f"`{name}`" for name in found), "has" if len(found) == 1 else "have"
     return [

@@ -35,6 +35,11 @@ STEPS, HALVINGS = 60, 20
 """Steps, and halvings of each, of a marginal likelihood with one constant held."""
 ENOUGH, CLOSE_TO_IT = 0.02, 0.5
 """Steps end where the next promises less; a minimum from which more is promised was not found."""
+EVALUATIONS = 240
+"""Values, gradients and curvatures of a marginal likelihood that all constants of a fit may take together; a constant
+that they do not decide is called open."""
+LOWER = 0.1
+"""By how much -2 log L must be lower with a constant held for a lower minimum to be told."""
 SMALLEST = 1e-10
 """Curvatures below this part of the largest count as this part of it."""
 
@@ -60,13 +65,21 @@ def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: floa
             return float(value * (bound / value) ** way)
         return value + way * (bound - value)
 
-    ends, worse = [], list[float]()
-    for bound in (low, high):
-        places = (towards(bound, way) for way in WAYS)
-        found = next((place for place in places if rise(place) > threshold), None)
-        ends.append(bound if found is None else found)
-        worse += [] if found is None else [found]
-    return None if covers(learnable, (ends[0], ends[1])) else Held(learnable, value, tuple(worse))
+    bounds, nearest = (low, high), [towards(low, WAYS[0]), towards(high, WAYS[0])]
+    ends, worse = [low, high], list[float]()
+    for side, bound in enumerate(bounds):
+        for place in (towards(bound, way) for way in WAYS):
+            nearest[side] = place
+            if covers(learnable, (nearest[0], nearest[1])):
+                return None  # whatever further places say
+            if rise(place) > threshold:
+                ends[side] = place
+                worse.append(place)
+                break
+        nearest[side] = ends[side]
+        if not covers(learnable, (ends[0], ends[1])):
+            return Held(learnable, value, tuple(worse))
+    return None
 
 
 def without_misjudged(
@@ -117,71 +130,148 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
         if name and name in known.names and learnable.name not in jumping:
             places[learnable.name] = known.at(name)
 
-    def rise_of(place: int) -> Rise:
+    threshold = half_width([result]) ** 2
+    counted, lower = Counted(objective, EVALUATIONS), dict[str, tuple[float, float]]()
+
+    def rise_of(name: str) -> Rise:
+        place = places[name]
         passed: dict[float, Point] = {float(known.value[place]): found.point}
 
         def rise(value: float) -> float:
             middle = float(known.value[place])
             between = [v for v in passed if min(value, middle) <= v <= max(value, middle)]
             start = passed[min(between, key=lambda v: abs(v - value))]  # from the last place on the same side
-            objective_there, point = with_held(objective, found, place, value, start)
+            try:
+                objective_there, point = with_held(counted, found, place, value, start, threshold)
+            except SpentError:
+                return -math.inf
+            fall = found.point.objective - point.objective
+            if fall > max(LOWER, lower.get(name, (0.0, 0.0))[1]):
+                lower[name] = (value, fall)
             if math.isfinite(objective_there):
                 passed[value] = point
             return objective_there - found.point.objective
 
         return rise
 
-    threshold = half_width([result]) ** 2
     open_ones = _open(result, model, [k for k in model.learnables if k.name in places])
-    each = (held_by_data(k, result.constants[k.name], rise_of(places[k.name]), threshold) for k in open_ones)
-    return _taken(result, model, [one for one in each if one is not None], "A prior, or a value (`const`), gives one")
+    each = (held_by_data(k, result.constants[k.name], rise_of(k.name), threshold) for k in open_ones)
+    held = [one for one in each if one is not None]
+    said = _taken(result, model, held, "A prior, or a value (`const`), gives one")
+    return [*said, *(_of_lower(name, *one) for name, one in lower.items())]
+
+
+def _of_lower(name: str, value: float, fall: float) -> str:
+    """What is said of a lower minimum that was found with a constant held."""
+    return (
+        f"there is a lower minimum: with {name} = {value:.3g}, and all else refitted, -2 log L is {fall:.2g} lower "
+        f"than at the estimate. What may help: begin there (`learn {name} = {value:.3g}`), or `--effort high`"
+    )
+
+
+class SpentError(Exception):
+    """The evaluations are used up."""
+
+
+@dataclass
+class Counted:
+    """An objective whose evaluations are counted: a number of them, not a time, so that what is said of a fit does not
+    depend on the machine."""
+
+    objective: Objective
+    left: float = math.inf
+
+    def _spend(self) -> None:
+        if self.left < 1:
+            raise SpentError
+        self.left -= 1
+
+    def at(self, weights: Array, u: Array, z: Array, ridge: float) -> Point:
+        """The objective at a point."""
+        self._spend()
+        return self.objective.at(weights, u, z, ridge)
+
+    def gradient(self, point: Point, ridge: float) -> Array:
+        """The exact gradient."""
+        self._spend()
+        return self.objective.gradient(point, ridge)
+
+    def curvature(self, point: Point, ridge: float) -> Array:
+        """The curvature."""
+        self._spend()
+        return self.objective.curvature(point, ridge)
 
 
 def with_held(
-    objective: Objective, found: PopulationResult, place: int, value: float, start: Point | None = None
+    counted: Counted,
+    found: PopulationResult,
+    place: int,
+    value: float,
+    start: Point | None = None,
+    threshold: float = -math.inf,
 ) -> tuple[float, Point]:
     """The objective with one parameter at a value and all others at their minimum, from `start`, less what more steps
-    promise, and the point; minus infinity where that minimum was not found.
+    promise, and the point; minus infinity where that minimum was not found. Steps end before it where the objective is
+    no more than the threshold above that of `found`, unless they promise a minimum that is lower than this.
 
     Steps are those of BFGS in units of the expected information: where this is nearly singular, as of a rate that the
     size of an epidemic almost replaces, its own steps lead nowhere; changes of exact gradients show the curvature.
     """
+    layout = counted.objective.layout
     begun = found.point if start is None else start
     count, held = len(begun.weights), len(begun.weights) + place
     whole = np.concatenate([begun.weights, begun.u])
-    natural = objective.layout.natural(torch.from_numpy(begun.u)).numpy().copy()
+    natural = layout.natural(torch.from_numpy(begun.u)).numpy().copy()
     natural[place] = value
-    moved = float(objective.layout.bijections.from_natural(natural)[place]) - whole[held]
-    rest, curvature = np.setdiff1d(np.arange(len(whole)), [held]), objective.curvature(begun, found.ridge)
+    moved = float(layout.bijections.from_natural(natural)[place]) - whole[held]
+    rest, curvature = np.setdiff1d(np.arange(len(whole)), [held]), counted.curvature(begun, found.ridge)
     values, vectors = np.linalg.eigh(curvature[np.ix_(rest, rest)])
     units = vectors / np.sqrt(np.maximum(values, SMALLEST * max(float(values.max(initial=0.0)), 1e-300)))
-    along = -units @ (units.T @ curvature[rest, held])
+    along, best, first = -units @ (units.T @ curvature[rest, held]), 0.0, None
+    least = found.point.objective
 
-    def beside(y: Array, z: Array, share: float = 1.0) -> Point:
+    def beside(y: Array, z: Array, share: float) -> Point:
         vector = whole.copy()
         vector[held] += moved
         vector[rest] += share * moved * along + units @ y
-        return objective.at(vector[:count], vector[count:], z, found.ridge)
+        return counted.at(vector[:count], vector[count:], z, found.ridge)
 
-    none = np.zeros(len(rest))
-    tried = [(beside(none, begun.z, share), share) for share in (1.0, 0.5, 0.0)]
-    first, best = min(tried, key=lambda one: one[0].objective if np.isfinite(one[0].objective) else math.inf)
-    if not np.isfinite(first.objective):
+    for share in (1.0, 0.5, 0.0):
+        new = beside(np.zeros(len(rest)), begun.z, share)
+        if np.isfinite(new.objective) and (first is None or new.objective < first.objective):
+            first, best = new, share
+        if first is not None and first.objective <= least + threshold:
+            break
+    if first is None:
         return -math.inf, begun
-    along = best * along
-    now, promised = _minimum(first, beside, lambda point: units.T @ objective.gradient(point, found.ridge)[rest])
-    return (now.objective - promised if promised < CLOSE_TO_IT else -math.inf), now
+
+    def enough(objective: float, promised: float) -> bool:
+        return objective <= least + threshold and objective - promised > least - LOWER
+
+    now, promised = _minimum(
+        first,
+        lambda y, z: beside(y, z, best),
+        lambda point: units.T @ counted.gradient(point, found.ridge)[rest],
+        enough,
+    )
+    known = promised < CLOSE_TO_IT or enough(now.objective, promised)
+    return (now.objective - promised if known else -math.inf), now
 
 
 def _minimum(
-    first: Point, beside: Callable[[Array, Array], Point], slope: Callable[[Point], Array]
+    first: Point,
+    beside: Callable[[Array, Array], Point],
+    slope: Callable[[Point], Array],
+    enough: Callable[[float, float], bool],
 ) -> tuple[Point, float]:
-    """The minimum near a point, and by how much the objective there may still fall, by BFGS with halved steps."""
+    """The minimum near a point, and by how much the objective there may still fall, by BFGS with halved steps, until
+    that is `enough`."""
     now, slopes = first, slope(first)
     y, inverse = np.zeros(len(slopes)), np.eye(len(slopes))
     for _ in range(STEPS):
         step = -inverse @ slopes
-        if -float(slopes @ step) < ENOUGH:
+        promised = -0.5 * float(slopes @ step)
+        if 2 * promised < ENOUGH or enough(now.objective, promised):
             break
         for halving in range(HALVINGS):
             new = beside(y + step * 0.5**halving, now.z)

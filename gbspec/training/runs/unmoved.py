@@ -9,6 +9,7 @@ from gbspec.ir import Learnable, Model
 from gbspec.training.recipe import only_in_jumps
 from gbspec.training.runs.constants import EXACT, covers, inside_bounds
 from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.verdict import named_inseparable
 from gbspec.training.stages import StageName
 
 EXACTLY = 1e-9
@@ -41,7 +42,8 @@ def _open(learnable: Learnable, value: float, sd: float) -> bool:
 
 def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -> list[str]:
     """Takes their correlations from constants that no step has moved; a sentence for each of these, and for each whose
-    value was only searched for. `stages` are those that led to the result."""
+    value was only searched for. `stages` are those that led to the result. Those that no data can show are left to the
+    warnings of the model: nothing but another model helps."""
     jumping = only_in_jumps(model)
     still, out = unmoved(model, result.constants, result.sd, stages), []
     if result.loss <= EXACT or len(still) == len(model.learnables) > 1:  # begun at the truth, or not begun at all
@@ -52,6 +54,7 @@ def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -
         result.correlations[places], result.correlations[:, places] = 0.0, 0.0
         result.correlations[places, places] = 1.0
     result.sd |= dict.fromkeys(still, math.nan)
+    unseen = named_inseparable(model) if set(still) - set(jumping) else set()
     for k in model.learnables:
         name, value = k.name, result.constants.get(k.name, math.nan)
         if name in still and name in jumping and (model.marginal or model.diffusions):
@@ -60,6 +63,8 @@ def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -
                 f"by it, and it stayed at its start, {value:.5g}. It is no estimate, and has no interval; {_GIVEN}. "
                 f"{_other_way(model, name)}"
             )
+        elif name in unseen and name in still:
+            continue
         elif name in still:
             passed = ", a start that solutions pass" if name in jumping else ", another start"
             out.append(

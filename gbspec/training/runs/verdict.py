@@ -4,6 +4,7 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from scipy.special import chdtr
@@ -343,9 +344,18 @@ def inseparable(model: Model) -> list[str]:
 
     There is none for a set that the model allows, and none where the analysis could not decide.
     """
+    return [f"{one.message} ({one.code}): {'; '.join((*one.notes, one.help))}" for one in _inseparable(model)]
+
+
+def named_inseparable(model: Model) -> set[str]:
+    """The names that these warnings are about."""
+    return {name for one in _inseparable(model) for name in re.findall(r"`(\w+)`", one.message)}
+
+
+def _inseparable(model: Model) -> Findings:
     findings = Findings()
     examine(model, findings)
-    return [f"{one.message} ({one.code}): {'; '.join((*one.notes, one.help))}" for one in findings]
+    return findings
 
 
 def inseparable_by_one(model: Model) -> list[str]:
