@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +10,13 @@ import numpy as np
 import pytest
 
 from gbspec.data import Trajectories, Trajectory
+from gbspec.runs import last_search
 from gbspec.training import TrainOptions, train
 from gbspec.training.population.jumps import SPREAD, _Tried, values_of
 from gbspec.training.recipe import only_in_jumps
+from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.unmoved import without_unmoved
+from gbspec.training.stages import StageName
 from tests.training.conftest import model_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -73,6 +78,36 @@ def test_least_squares_learn_the_time_of_a_jump(tmp_path: Path) -> None:
     assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is not None
     assert record.interval[0] < LAG < record.interval[1]
     assert not any("`lag`" in text for text in run.fit.warnings)
+
+
+def test_times_of_jumps_of_single_trajectories_have_intervals(tmp_path: Path) -> None:
+    text = ALONE.replace("lag = 0.4 in [0, 2]", "lag = 0.4 in [0, 2] per trajectory")
+    text = text.replace("x0 = 2 in [0.1, 20]", "x0 = 2 in [0.1, 20] per trajectory")
+    run = train(model_of(text), measured(3), replace(FAST, backend="native"), tmp_path / "run")
+    assert StageName.CUT in [stage.name for stage in run.fit.members[0].stages]
+    own = run.fit.constants["lag"].per_trajectory
+    assert own is not None and all(one.interval is not None for one in own.values())
+    assert [one.value for one in own.values()] == pytest.approx([LAG] * 3, abs=0.05)
+    assert not any("`lag`" in text for text in run.fit.warnings)
+    search = last_search(run.fit.members[0].stages)  # a second look for own constants leads below what starts reached
+    assert search is not None and search.near >= 0 and not any("-1" in text for text in run.fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("stages", "tried"),
+    [
+        (["search", "least squares"], True),
+        (["marginal likelihood", "times of jumps"], True),
+        (["search", "least squares", "cut steps"], False),
+        (["least squares"], False),
+    ],
+)
+def test_values_are_said_to_be_tried_where_they_were(stages: list[str], tried: bool) -> None:
+    found = {"k": 0.8, "x0": 2.1, "lag": LAG}
+    known = {"k": 0.1, "x0": 0.1, "lag": math.nan}
+    result = MemberResult(0, 0.1, 0.1, {}, {}, {}, found, known, 1.0, [], np.zeros((1, 1)), ["0"])
+    (said,) = without_unmoved(result, model_of(ALONE), stages)
+    assert "`lag` has no interval" in said and ("values that were tried" in said) == tried
 
 
 def test_a_fit_with_disturbances_says_that_a_constant_stayed(tmp_path: Path) -> None:
