@@ -131,6 +131,20 @@ def test_constants_that_occur_only_where_values_jump() -> None:
     assert only_in_jumps(model_of(ALONE.replace("if(t > lag, 1, 0)", "max(sign(t - lag), 0)"))) == ("lag",)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        LATE.replace("normal(e)", "student(e, lag)").replace("[0, 2]", "[0.1, 2]"),
+        ALONE.replace("-k*x*", "-k*f(x)*") + "unknown f(x) <= lag\n",
+        ALONE.replace("-k*x*", "-k*f(x)*") + "unknown f(x) = lag + nn\n",
+        ALONE.replace("-k*x*", "-k*delay(x, 0.5)*") + "history x = lag*x0\n",
+    ],
+    ids=["noise", "contract", "postulate", "history"],
+)
+def test_constants_that_occur_elsewhere_too(text: str) -> None:
+    assert only_in_jumps(model_of(text)) == ()
+
+
 def test_values_are_tried_over_the_range_and_then_around_the_best() -> None:
     values = np.array([0.4])
     for _ in range(values_of(False) - 1):
