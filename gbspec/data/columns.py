@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, assert_never
 from gbspec.data.names import cell_name, similar
 from gbspec.diagnostics import Cell, Findings
 from gbspec.ir import NOISES
+from gbspec.syntax import REFUSED, is_name, normalise
 
 if TYPE_CHECKING:
     from gbspec.data.sheet import Sheet
@@ -221,11 +222,18 @@ def _other_time(sheet: Sheet, model: Model, spare: list[str]) -> tuple[str, str]
         return None
     name = min(found, key=lambda each: each.casefold() != known)
     help = f"does `{name}` hold it? Rename the column `{model.time.name}`"
-    if name.isidentifier():
+    if is_name(name) and normalise(name) not in REFUSED | _declared(model):
         help += f", or the time of the model, `time {name}`"
     if not _has_numbers(sheet, name):
         help += "; times are numbers, such as days since the first row"
     return name, help
+
+
+def _declared(model: Model) -> set[str]:
+    """The names of a model, of which the time can be none."""
+    found = [model.states, model.conditions, model.inputs, model.constants, model.learnables, model.implied]
+    found += [model.unknowns, model.tables, model.intermediates, model.algebraics, model.channels]
+    return {array.name for array in model.arrays} | {item.name for group in found for item in group}
 
 
 def _notes(quantity: Quantity) -> tuple[str, ...]:

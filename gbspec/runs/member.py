@@ -25,7 +25,7 @@ class SearchRecord:
     def __str__(self) -> str:
         if self.times != 1:
             return f"{self.improved} improved, the best minimum found {self.times} times"
-        beside = f" ({self.near} other{'' if self.near == 1 else 's'} near it)" if self.near else ""
+        beside = f" ({self.near} other{'' if self.near == 1 else 's'} near it)" if self.near > 0 else ""
         return f"{self.improved} improved, the best minimum found 1 time{beside}"
 
 

@@ -12,7 +12,7 @@ import sympy
 from gbspec.data.table import read
 from gbspec.diagnostics import Cell, Diagnostic, Findings, Severity, UserError
 from gbspec.diagnostics.catalogue import entries
-from gbspec.ir.model import Condition, Initial, Model, Time, symbol
+from gbspec.ir.model import Channel, Condition, Initial, Learnable, Model, Time, symbol
 from tests.data.hand_models import decay, drip, growth, patient, reactor, tank
 from tests.data.reader import Reader
 
@@ -207,6 +207,19 @@ def test_a_column_that_may_tell_trajectories_apart_is_told(reading: Reader, name
 def test_a_column_that_may_hold_the_time_is_told(reading: Reader, column: str, first: str, said: str) -> None:
     _, findings = reading(f"{column},x1,x2,Da\n{first},.5,1,.3\n")
     assert findings[0].code == "GB710" and said in findings[0].help
+
+
+@pytest.mark.parametrize(
+    ("column", "model"),
+    [
+        ("min", reactor()),
+        ("s", reactor(learnables=(Learnable("s"),))),
+        ("h", reactor(channels=(*reactor().channels, Channel("h", value=2 * symbol("x1"), column="height")))),
+    ],
+)
+def test_the_time_is_not_renamed_to_what_it_cannot_be(reading: Reader, column: str, model: Model) -> None:
+    _, findings = reading(f"{column},x1,x2,Da,height\n0,.5,1,.3,2\n", model)
+    assert findings[0].help == f"does `{column}` hold it? Rename the column `t`"
 
 
 def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:

@@ -155,6 +155,7 @@ def searched(
         (searched(ONCE), True),
         (searched(SearchRecord(64, 1, 20)), True),
         (searched(SearchRecord(64, 1, 21)), False),
+        (searched(SearchRecord(64, 1, -1)), True),
         (searched(SearchRecord(64, 2)), False),
         (searched(SearchRecord(8, 1, 1)), True),
         (searched(None), False),
@@ -165,7 +166,7 @@ def searched(
 )
 def test_a_best_minimum_that_was_found_once_is_told(result: MemberResult, said: bool) -> None:
     found = found_once({0: result}, "normal")
-    assert len(found) == said
+    assert len(found) == said and not any("-1" in text for text in found)
     assert all("`--effort high`" in text and text.startswith("member 0: ") for text in found)
     assert all("`--effort" not in text for text in found_once({0: result}, "high"))
 
@@ -177,6 +178,7 @@ def test_members_that_agree_have_found_it_several_times() -> None:
 
 
 def test_a_fit_keeps_what_its_last_search_has_found(tmp_path: Path) -> None:
+    assert str(SearchRecord(64, 1, -1)) == "64 improved, the best minimum found 1 time", "records of older versions"
     assert str(SearchRecord(64, 1, 3)) == "64 improved, the best minimum found 1 time (3 others near it)"
     first, last = (StageRecord("search", 8, 0.1, 1.0, search=one) for one in (ONCE, SearchRecord(8, 12, 9)))
     assert last_search([first, last, StageRecord("whole solutions", 3, 0.1, 1.0)]) == SearchRecord(8, 12, 9)

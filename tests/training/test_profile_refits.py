@@ -108,6 +108,22 @@ def test_the_step_of_a_profile_is_short_enough_for_its_values(
     assert (again.points, again.notes) == (found.points, found.notes), "from the stored fits"
 
 
+def test_steps_that_are_only_compared_need_no_fit_of_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from gbspec.training.profile.refits import Refits
+
+    asked, offset = set(), Refits._offset
+
+    def noted(self: Refits, fraction: float) -> float:
+        asked.add(fraction)
+        return offset(self, fraction)
+
+    monkeypatch.setattr(Refits, "_offset", noted)
+    found = run_of(tmp_path, LEAF, *litter(3), max_step=0.1).profile("ks")
+    assert asked == {1.0} and not any("step" in note for note in found.notes)
+
+
 def test_a_deviance_that_depends_on_the_step_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gbspec.training.profile.refits.FINEST", 1.0)
     found = run_of(tmp_path, ONE, *litter(3)).profile("kf")

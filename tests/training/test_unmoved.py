@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from gbspec.data import Trajectories, Trajectory
+from gbspec.runs import last_search
 from gbspec.training import TrainOptions, train
-from gbspec.training.population.jumps import SPREAD, _Tried, values_of
+from gbspec.training.population.jumps import SPREAD, TimesOfJumps, _Tried, values_of
+from gbspec.training.population.layout import Layout
 from gbspec.training.recipe import only_in_jumps
+from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.unmoved import without_unmoved
+from gbspec.training.stages import StageName
 from tests.training.conftest import model_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -47,13 +56,17 @@ def measured(count: int) -> Trajectories:
     return Trajectories(tuple(found), ("x",))
 
 
-def test_a_likelihood_searches_for_the_time_of_a_jump(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bounds", ["[0, 2]", "[0.001, 1000]"])
+def test_a_likelihood_searches_for_the_time_of_a_jump(tmp_path: Path, bounds: str) -> None:
     options = replace(FAST, stages="search; marginal likelihood; times of jumps")
-    run = train(model_of(LATE), measured(2), options, tmp_path / "run")
+    run = train(model_of(LATE.replace("[0, 2]", bounds)), measured(2), options, tmp_path / "run")
     record, population = run.fit.constants["lag"], run.fit.population
     assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is None
     assert run.fit.constants["k"].value == pytest.approx(0.8, rel=0.05)
     assert population is not None and population.parameters == 5
+    assert population.minus2ll == pytest.approx(-137.624, abs=0.01), "on the lowest step of the likelihood"
+    (stage,) = [one for one in run.fit.members[0].stages if one.name == StageName.JUMPS]
+    assert stage.iterations < values_of(False), "it has settled"
     (said,) = [text for text in run.fit.warnings if "`lag`" in text]
     assert "no interval" in said and "the best of the values that were tried" in said and "`dose … lag lag`" in said
 
@@ -73,6 +86,36 @@ def test_least_squares_learn_the_time_of_a_jump(tmp_path: Path) -> None:
     assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is not None
     assert record.interval[0] < LAG < record.interval[1]
     assert not any("`lag`" in text for text in run.fit.warnings)
+
+
+def test_times_of_jumps_of_single_trajectories_have_intervals(tmp_path: Path) -> None:
+    text = ALONE.replace("lag = 0.4 in [0, 2]", "lag = 0.4 in [0, 2] per trajectory")
+    text = text.replace("x0 = 2 in [0.1, 20]", "x0 = 2 in [0.1, 20] per trajectory")
+    run = train(model_of(text), measured(3), replace(FAST, backend="native"), tmp_path / "run")
+    assert StageName.CUT in [stage.name for stage in run.fit.members[0].stages]
+    own = run.fit.constants["lag"].per_trajectory
+    assert own is not None and all(one.interval is not None for one in own.values())
+    assert [one.value for one in own.values()] == pytest.approx([LAG] * 3, abs=0.05)
+    assert not any("`lag`" in text for text in run.fit.warnings)
+    search = last_search(run.fit.members[0].stages)  # a second look for own constants leads below what starts reached
+    assert search is not None and search.near >= 0 and not any("-1" in text for text in run.fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("stages", "tried"),
+    [
+        (["search", "least squares"], True),
+        (["marginal likelihood", "times of jumps"], True),
+        (["search", "least squares", "cut steps"], False),
+        (["least squares"], False),
+    ],
+)
+def test_values_are_said_to_be_tried_where_they_were(stages: list[str], tried: bool) -> None:
+    found = {"k": 0.8, "x0": 2.1, "lag": LAG}
+    known = {"k": 0.1, "x0": 0.1, "lag": math.nan}
+    result = MemberResult(0, 0.1, 0.1, {}, {}, {}, found, known, 1.0, [], np.zeros((1, 1)), ["0"])
+    (said,) = without_unmoved(result, model_of(ALONE), stages)
+    assert "`lag` has no interval" in said and ("values that were tried" in said) == tried
 
 
 def test_a_fit_with_disturbances_says_that_a_constant_stayed(tmp_path: Path) -> None:
@@ -105,10 +148,43 @@ def test_constants_that_occur_only_where_values_jump() -> None:
     assert only_in_jumps(model_of(ALONE.replace("if(t > lag, 1, 0)", "max(sign(t - lag), 0)"))) == ("lag",)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        LATE.replace("normal(e)", "student(e, lag)").replace("[0, 2]", "[0.1, 2]"),
+        ALONE.replace("-k*x*", "-k*f(x)*") + "unknown f(x) <= lag\n",
+        ALONE.replace("-k*x*", "-k*f(x)*") + "unknown f(x) = lag + nn\n",
+        ALONE.replace("-k*x*", "-k*delay(x, 0.5)*") + "history x = lag*x0\n",
+    ],
+    ids=["noise", "contract", "postulate", "history"],
+)
+def test_constants_that_occur_elsewhere_too(text: str) -> None:
+    assert only_in_jumps(model_of(text)) == ()
+
+
 def test_values_are_tried_over_the_range_and_then_around_the_best() -> None:
     values = np.array([0.4])
-    for _ in range(values_of(False) - 1):
-        losses = (values - 0.77) ** 2
-        values = np.append(values, _Tried(values, losses).next((0.0, 1.0), SPREAD))
+    while not _Tried(values, (values - 0.77) ** 2).settled(SPREAD, 1e-5) and len(values) < values_of(False):
+        values = np.append(values, _Tried(values, (values - 0.77) ** 2).next((0.0, 1.0), SPREAD))
     assert values[1] == pytest.approx(0.5 / SPREAD) and values[SPREAD] == pytest.approx(1 - 0.5 / SPREAD)
-    assert np.abs(values - 0.77).min() < 2e-3
+    assert np.abs(values - 0.77).min() < 2e-3 and len(values) < values_of(False)
+
+
+def test_a_search_settles_on_a_step() -> None:
+    values, losses = np.array([0.4, 0.1, 0.3, 0.5, 0.2, 0.6]), np.array([0.0, 2.0, 0.0, 0.0, 0.0, 1.0])
+    more = np.linspace(0.8, 0.9, 3)
+    far = _Tried(np.append(values, more), np.append(losses, more))
+    assert far.settled(2, 0.0), "the first of several equal ones is the best"
+    assert not _Tried(values, losses).settled(2, 0.0), "too few values"
+    assert not _Tried(far.values, np.where(far.values == 0.5, 0.1, far.losses)).settled(2, 0.01)
+
+
+@pytest.mark.parametrize(("bounds", "middle"), [("[0.01, 100]", 1), ("[-100, -0.01]", -1), ("[0, 4]", 2)])
+def test_the_scale_of_a_search_is_that_of_the_range(bounds: str, middle: float) -> None:
+    model = model_of(ALONE.replace("0.4 in [0, 2]", f"{middle} in {bounds}"))
+    stage = object.__new__(TimesOfJumps)
+    stage.layout, stage.near = cast(Layout, SimpleNamespace(each=model.learnables)), False
+    place = [k.name for k in model.learnables].index("lag")
+    low, high = stage._ends(place, middle)
+    assert low < high and stage._value(place, (low + high) / 2) == pytest.approx(middle)
+    assert [stage._value(place, each) for each in (low, high)] == pytest.approx(json.loads(bounds))

@@ -140,6 +140,13 @@ observe th
         (PENDULUM.replace("th' = w", "learn r = 2\nth' = r*w"), "of `th`, add the lines"),
         (PENDULUM.replace("th' = w", "const k : 1/s = 2\nth' = w - k*th"), "of `th`, add the lines"),
         (PENDULUM.replace("th' = w", "const k : s/deg = 2\nth' = k*w^2"), "of `th`, add the lines"),
+        (
+            PENDULUM.replace("th' = w", "const k : deg/s = 2\nth' = (w + k*(u in 1))/3 + k"),
+            "of `w`, from which `th` follows",
+        ),
+        (PENDULUM.replace("th' = w", "th' = w*(u in 1)"), "of `th`, add the lines"),
+        (PENDULUM.replace("th' = w", "th' = if(u > 0, w, 0)"), "of `th`, add the lines"),
+        (PENDULUM.replace("th' = w", "const k : deg/s = 2\nth' = w + if(u > 0, k, 0)"), "of `th`, add the lines"),
         (PENDULUM.replace("w' = -g*sin(th in rad)", "const k : 1/s^2 = 2\nw' = -k*th"), "of `th`, add the lines"),
     ],
 )

@@ -1,12 +1,13 @@
 """The search for constants by which the likelihood has no derivative, since they occur only where values jump.
 
 The time of a jump (`if(t > lag, 1, 0)`) enters no value, so that no damped step moves it. Each such constant is tried
-at values spread over its range, and then at ever smaller distances from the best one; at each value everything else is
-improved by a few steps.
+at values spread over its range, on the scale of this range, and then at ever smaller distances from the best one, until
+the objective settles; at each value everything else is improved by a few steps.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,19 +19,23 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.population.stage import MarginalLikelihood, vector_of
 
-SPREAD, HALVINGS = 16, 12
-"""Values over the whole range of a constant, and further ones around the best of them."""
-NEAR, NEAR_HALVINGS = 4, 8
+SPREAD, HALVINGS = 16, 24
+"""Values over the whole range of a constant, and most further ones around the best of them."""
+NEAR, NEAR_HALVINGS = 4, 16
 """The same where a search with longer steps has been made: over the distance of two values of that one."""
+LEAST = 6
+"""So many of the further values are tried at least."""
 STEPS, ENOUGH = 8, 0.02
 """Most damped steps at each value; they end where one has lowered the objective, as -2 log likelihood, by less."""
+SETTLED = 0.1
+"""The search ends where the values beside the best one, on both sides, have an objective that is larger by less."""
 UNBOUNDED = 2.0
 """Without bounds values are tried so many times the size of the present one to either side."""
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """The values of one constant that were tried, on its natural scale, with the losses there."""
+    """The values of one constant that were tried, on the scale of its range, with the losses there."""
 
     values: Array
     losses: Array
@@ -46,6 +51,15 @@ class _Tried:
         left, right = float(below.max(initial=low)), float(above.min(initial=high))
         return (left + best) / 2 if best - left > right - best else (best + right) / 2
 
+    def settled(self, spread: int, enough: float) -> bool:
+        """Whether the values beside the best one, on both sides, have a loss that is larger by at most `enough`."""
+        if len(self.values) - 1 < spread + LEAST:
+            return False
+        order, first = np.argsort(self.values, kind="stable"), int(np.argmin(self.losses))
+        best = int(np.flatnonzero(order == first)[0])  # of several that are equal the first one, as `next` has it
+        beside = self.losses[order[max(best - 1, 0) : best + 2]]
+        return len(beside) == 3 and bool((beside <= self.losses[first] + enough).all())
+
 
 class TimesOfJumps:
     """The stage: one value of one constant in each iteration. `places` are those of the constants among the parameters
@@ -58,16 +72,17 @@ class TimesOfJumps:
 
     def begin(self, theta: Array) -> State:
         """The state at a vector: nothing has been tried."""
-        return self.inner.begin(theta) | {"least": np.array(np.inf), "tried": np.zeros((0, 2))}
+        nothing = {"least": np.array(np.inf), "tried": np.zeros((0, 2)), "turn": np.array(0)}
+        return self.inner.begin(theta) | nothing
 
     def step(self, state: State, iteration: int) -> Outcome:
         """Tries one value, and goes on from the best one. Raises ComputationError where the model cannot be solved at
         the present vector."""
-        turn, count = divmod(iteration, values_of(self.near))
-        place, before = self.places[turn], state["tried"] if count else np.zeros((0, 2))
-        tried = _Tried(before[:, 0], before[:, 1])
+        turn, before = int(state.get("turn", 0)), state["tried"]
+        place, spread, count = self.places[turn], NEAR if self.near else SPREAD, len(before)
         if count:
-            value = tried.next(self._ends(place, float(tried.values[0])), NEAR if self.near else SPREAD)
+            tried = _Tried(self._scaled(place, before[:, 0]), before[:, 1])
+            value = self._value(place, tried.next(self._ends(place, float(before[0, 0])), spread))
         else:
             value = float(self.layout.natural(torch.from_numpy(state["theta"][self.layout.slice()]))[place])
         moved = self._improved(self._with(state, place, value) if count else state, strict=not count)
@@ -77,14 +92,22 @@ class TimesOfJumps:
         after = np.vstack([before, [value, loss]])
         best = float(after[int(np.argmin(after[:, 1])), 0])
         said = f"`{self.layout.each[place].name}` {best:.5g} is the best of {len(after)} values"
-        reached = {**kept, "least": np.array(min(loss, least)), "tried": after}
-        return Outcome(reached, min(loss, least), iteration + 1 >= self.total, "", said)
+        tried = _Tried(self._scaled(place, after[:, 0]), after[:, 1])
+        ended = len(after) >= values_of(self.near) or tried.settled(spread, self._loss_of(SETTLED))
+        last = ended and turn + 1 == len(self.places)
+        going = {"tried": after[:0], "turn": np.array(turn + 1)} if ended and not last else {"tried": after}
+        reached = {**kept, "least": np.array(min(loss, least)), "turn": np.array(turn), **going}
+        return Outcome(reached, min(loss, least), last, "", said)
+
+    def _loss_of(self, rise: float) -> float:
+        """A difference of -2 log likelihood as one of the objective."""
+        return rise / (2 * max(len(self.inner.likelihood.value), 1))
 
     def _improved(self, state: State, strict: bool) -> Outcome | None:
         """What a few steps lead to; None where the model cannot be solved, unless that is an error (`strict`)."""
-        inner = {name: value for name, value in state.items() if name not in ("least", "tried")}
+        inner = {name: value for name, value in state.items() if name not in ("least", "tried", "turn")}
         outcome, before = None, np.inf
-        enough = ENOUGH / (2 * max(len(self.inner.likelihood.value), 1))
+        enough = self._loss_of(ENOUGH)
         try:
             for iteration in range(STEPS):
                 # By the quadrature that was asked for, without Laplace's method before it.
@@ -113,17 +136,30 @@ class TimesOfJumps:
             "damping": np.array(1e-3),
         }
 
+    def _scaled(self, place: int, values: Array) -> Array:
+        """Values of a constant on the scale of its range: logarithms where its bounds are far apart."""
+        bounds = self.layout.each[place].range
+        sign = math.copysign(1.0, bounds.low)
+        return np.asarray(sign * np.log(sign * values)) if bounds.logarithmic else values
+
+    def _value(self, place: int, scaled: float) -> float:
+        bounds = self.layout.each[place].range
+        sign = math.copysign(1.0, bounds.low)
+        return min(max(sign * math.exp(sign * scaled), bounds.low), bounds.high) if bounds.logarithmic else scaled
+
     def _ends(self, place: int, present: float) -> tuple[float, float]:
-        """Between which values a constant is sought, whose value was the `present` one when its search began."""
+        """Between which values, on the scale of its range, a constant is sought, whose value was the `present` one when
+        its search began."""
         bounds = self.layout.each[place].range
         low, high = bounds.low, bounds.high
         if not bounds.bounded:
             size = UNBOUNDED * (abs(present) or 1.0)
             low, high = max(low, present - size), min(high, present + size)
+        low, present, high = self._scaled(place, np.array([low, present, high])).tolist()
         reach = (high - low) / SPREAD
         return (max(low, present - reach), min(high, present + reach)) if self.near else (low, high)
 
 
 def values_of(near: bool) -> int:
-    """How many values of each constant are tried."""
+    """How many values of each constant are tried at most."""
     return 1 + (NEAR + NEAR_HALVINGS if near else SPREAD + HALVINGS)

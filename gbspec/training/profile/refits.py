@@ -50,11 +50,9 @@ class Refit:
 
 @dataclass(frozen=True)
 class _Level:
-    """The objective at one step, what is added to it so that fits at all steps are counted from the estimate, and its
-    value at the estimate."""
+    """The objective at one step, and its value at the estimate."""
 
     target: Penalised
-    offset: float
     base: float
 
 
@@ -108,6 +106,7 @@ class Refits:
         self.found, self.lowest = found.theta, found.objective
         self.searching = True  # for a finer step, until none was short enough
         self._levels: dict[float, _Level] = {}
+        self._offsets: dict[float, float] = {1.0: 0.0}
 
     def held(self, entry: float, start: Array, fraction: float) -> Refit:
         """The fit with the constant's entry of the vector at `entry`, from a start, at this fraction of the step or at
@@ -117,7 +116,7 @@ class Refits:
             rest = self._lower(level.target, start, entry)
             finer, exact = self._exact_fraction(rest.theta, fraction)
             if finer == fraction:
-                return Refit(replace(rest, objective=rest.objective + level.offset), fraction, exact)
+                return Refit(replace(rest, objective=rest.objective + self._offset(fraction)), fraction, exact)
             fraction = finer
 
     def _lower(self, target: Penalised, start: Array, entry: float) -> Rest:
@@ -175,12 +174,18 @@ class Refits:
     def _level(self, fraction: float) -> _Level:
         if fraction not in self._levels:
             target = self.penalised(fraction)
-            base, offset = target.value(self.found), 0.0
-            if fraction != 1.0 and np.isfinite(base):
-                free = self.follower.followed(target, self.found, None, None)
-                offset = self.lowest - free.objective
-            self._levels[fraction] = _Level(target, offset, base)
+            self._levels[fraction] = _Level(target, target.value(self.found))
         return self._levels[fraction]
+
+    def _offset(self, fraction: float) -> float:
+        """What is added to the objective at a step, so that fits at all steps are counted from the estimate: this takes
+        a fit with all parameters free, which a step that is only compared does not need."""
+        if fraction not in self._offsets:
+            level, offset = self._level(fraction), 0.0
+            if np.isfinite(level.base):
+                offset = self.lowest - self.follower.followed(level.target, self.found, None, None).objective
+            self._offsets[fraction] = offset
+        return self._offsets[fraction]
 
     def _exact_fraction(self, theta: Array, fraction: float) -> tuple[float, bool]:
         """The largest fraction of the step, this one or a smaller one, half of which has the same deviance at a vector,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import sympy
 from sympy.core.relational import Relational
 
 from gbspec.arrays import Array
-from gbspec.ir import Model, in_language
+from gbspec.ir import Model, Steady, Unknown, in_language
 from gbspec.training.engines import Engine, happened, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, Stage
 from gbspec.training.problem import Parameters
@@ -89,15 +89,33 @@ def only_in_jumps(model: Model) -> tuple[str, ...]:
 
 
 def _values(model: Model, balances: Sequence[sympy.Expr]) -> list[sympy.Expr]:
-    """All values that solutions and what is measured of them depend on."""
+    """All values that solutions, what is measured of them and its likelihood depend on."""
     fixed = [*(channel.value for channel in model.channels), *(s.initial.value for s in model.states)]
-    fixed += [channel.noise.value for channel in model.channels if channel.noise is not None]
+    fixed += [part for c in model.channels if c.noise is not None for part in (c.noise.value, c.noise.shape)]
+    fixed += [*(s.history for s in model.states), *_learned(model.unknowns), *_steady(model.steady)]
     fixed += [part for dose in model.doses for part in (dose.fraction, dose.lag, dose.duration)]
     fixed += [*(one.value for one in model.diffusions), *(one.lag for one in model.delays)]
     fixed += [one.residual for one in model.constraints]
     events = [part for e in model.events for part in (e.guard, e.rank, *(value for _, value in e.values))]
     timings = [part for e in model.events if e.timing for part in (e.timing.at, e.timing.every, e.timing.until)]
     return list(model.inlined([part for part in (*balances, *fixed, *events, *timings) if part is not None]))
+
+
+def _learned(unknowns: Sequence[Unknown]) -> Iterator[sympy.Expr | None]:
+    """What unknown functions depend on besides their networks: in postulates, contracts and the forms of these."""
+    for one in unknowns:
+        yield one.postulate
+        for contract in one.contracts:
+            yield from (contract.value, contract.to)
+        if one.form is not None:
+            yield from (one.form.value, *(part for evaluation in one.form.evaluations for part in evaluation))
+
+
+def _steady(start: Steady | None) -> Iterator[sympy.Expr]:
+    """What steady states depend on before the start, and states after it."""
+    if start is not None:
+        yield from (*(value for _, value in start.held), *(part for law in start.laws for part in law))
+        yield from (value for _, value in start.after)
 
 
 _JUMPING = (Relational, sympy.sign, sympy.floor, sympy.ceiling)

@@ -49,7 +49,7 @@ def found_once(results: Mapping[int, MemberResult], effort: Effort, model: Model
     named = StageName.HORIZONS in names or any("other constants fit" in note for note in result.notes)
     if search is None or search.times != 1 or len(as_good) > 1 or named or 1 + search.near >= FEW * search.improved:
         return []
-    near = f", and {search.near} of the others ended near it" if search.near else ""
+    near = f", and {search.near} of the others ended near it" if search.near > 0 else ""
     more = "`--members 5` search" if effort == "high" else "`--effort high` searches"
     return [
         f"member {best}: of {search.improved} starts that were improved one led to the best minimum{near}: there may "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import sympy
 from sympy.core.function import AppliedUndef
 
 from gbspec.ir import Model, Range
@@ -78,16 +79,19 @@ def _driving(model: Model, index: int) -> list[int]:
 
 
 def followed_exactly(model: Model, index: int) -> list[int]:
-    """The other states whose sum with inputs, both times known constants, is the balance of a state; none if it is
-    anything else."""
+    """The other states whose sum with inputs, both times known constants, is the balance of a state, up to a known
+    constant; none if it is anything else."""
     (rate,) = model.inlined([model.balances[index]])
     states = {one.symbol: i for i, one in enumerate(model.states)}
-    known = {one.symbol for one in (*model.inputs, *model.constants)}
-    found = sorted(states[symbol] for symbol in rate.free_symbols if symbol in states)
-    if index in found or not rate.free_symbols <= {*states, *known} or rate.atoms(AppliedUndef):
+    known = {one.symbol for one in model.constants}
+    parts = sorted(rate.free_symbols - known, key=str)
+    found = sorted(states[symbol] for symbol in parts if symbol in states)
+    varying = {*states, *(one.symbol for one in model.inputs)}
+    if index in found or not varying.issuperset(parts) or rate.atoms(AppliedUndef):
         return []
-    slopes = (rate.diff(model.states[one].symbol) for one in found)
-    return found if all(not slope.free_symbols & set(states) for slope in slopes) else []
+    slopes = [rate.diff(symbol) for symbol in parts]
+    rest = sympy.expand(rate - sum(slope * symbol for slope, symbol in zip(slopes, parts, strict=True)))
+    return found if all(each.free_symbols <= known for each in (*slopes, rest)) else []
 
 
 def _width(given: Range | None) -> float:

@@ -15,6 +15,7 @@ from gbspec.training.stages import StageName
 EXACTLY = 1e-9
 """A constant that differs from its start by less, as a part of it, has not moved."""
 
+_SEARCHES = frozenset({StageName.SEARCH, StageName.SEARCH_STARTS})
 _GIVEN = "the intervals of the others, which take it for known, are too narrow"
 
 
@@ -25,12 +26,17 @@ def unmoved(model: Model, constants: Mapping[str, float], sd: Mapping[str, float
     return [
         k.name
         for k in model.learnables
-        if (not k.per_trajectory or k.distribution is not None)
+        if _of_all(k)
         and k.name in constants
         and k.name not in sought
         and math.isclose(constants[k.name], k.start, rel_tol=EXACTLY, abs_tol=1e-300)
         and _open(k, constants[k.name], sd.get(k.name, math.nan))
     ]
+
+
+def _of_all(learnable: Learnable) -> bool:
+    """Whether it is a constant of all trajectories, or one with a median of them all."""
+    return not learnable.per_trajectory or learnable.distribution is not None
 
 
 def _open(learnable: Learnable, value: float, sd: float) -> bool:
@@ -72,13 +78,23 @@ def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -
                 f"{value:.5g}. It is no estimate, and has no interval. Data that show it{passed}, or a value (`const`) "
                 "help"
             )
-        elif name in jumping and not math.isfinite(result.sd.get(name, math.nan)) and not _told(result, name):
+        elif name in jumping and _without_interval(result, k) and not _told(result, name):
+            found = f"{value:.5g} is the best of the values that were tried, and " if _tried(stages) else ""
             out.append(
                 f"`{name}` has no interval: it occurs only where values jump, so that what is fitted has no derivative "
-                f"by it; {value:.5g} is the best of the values that were tried, and {_GIVEN}. "
-                + _other_way(model, name)
+                f"by it; {found}{_GIVEN}. {_other_way(model, name)}"
             )
     return out
+
+
+def _without_interval(result: MemberResult, learnable: Learnable) -> bool:
+    """Whether a constant of all trajectories has no standard deviation; single trajectories have their own ones."""
+    return _of_all(learnable) and not math.isfinite(result.sd.get(learnable.name, math.nan))
+
+
+def _tried(stages: Sequence[str]) -> bool:
+    """Whether the values of constants without a derivative were only searched for: no steps ended where values jump."""
+    return StageName.JUMPS in stages or (not _SEARCHES.isdisjoint(stages) and StageName.CUT not in stages)
 
 
 def _told(result: MemberResult, name: str) -> bool:

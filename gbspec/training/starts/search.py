@@ -211,7 +211,8 @@ class Search:
         if reached < best:
             theta, best = vector, reached
         found = np.append(state["found"], reached)
-        count = int(np.sum(found <= best * (1 + SAME) + CLOSE))
+        count, near = self._reached(found, best)
+        search = SearchRecord(len(found), count, near)  # before constants of single trajectories lower the best one
         minima = self._minima(state, reached, vector, best)
         times = self.patience.times * (1 if self._plausible(theta, best) else OFTEN)
         enough = len(found) >= self.patience.least and count >= times
@@ -221,12 +222,16 @@ class Search:
             theta, best = self._best_of_own(self._preferred(minima, theta, best), best)
         endless = int(state.get("endless", 0))
         why = f" (in {endless} events follow each other without end)" if endless else ""
-        near = int(np.sum(found <= best * (1 + max(WORSE, CLEARLY / self.count)))) - count
-        search = SearchRecord(len(found), count, near)
         remark = f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {search}"
         new: State = state | {"theta": theta, "best": np.array(best), "found": found, **minima}
         note = self._others(minima, theta) if done else ""
         return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, note, remark, search)
+
+    def _reached(self, found: Array, best: float) -> tuple[int, int]:
+        """How many of the objectives are the best one, and how many others are of no worse minimum."""
+        same = found <= best * (1 + SAME) + CLOSE
+        no_worse = found <= best * (1 + max(WORSE, CLEARLY / self.count))
+        return int(same.sum()), int((no_worse & ~same).sum())
 
     # ---------------------------------------------------------------- minima that are equally good
     def _minima(self, state: State, reached: float, vector: Array, best: float) -> State:
