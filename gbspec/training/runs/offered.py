@@ -19,8 +19,10 @@ def offered(found: Sequence[str], model: Model | None, rmse: Mapping[str, float]
     or more than those it has."""
     if model is None:
         return ""
-    if model.marginal:  # not offered together with `diffusion`
+    if model.marginal and any(k.distribution is not None for k in model.learnables):  # not offered with `diffusion`
         return ". What may help: further constants that differ between trajectories, or another model"
+    if model.marginal:
+        return ". What may help: another state, an unknown function, or another model"
     if model.diffusions:
         return ". The model lacks more: another state, another `diffusion`, or an unknown function"
     if model.events or model.delays:  # nor with these
