@@ -292,16 +292,18 @@ class Evaluator:
         """States as from `integrate_fixed`, and the delayed values [n_times, n_delays]."""
         if self.has_events:
             return self.followed(x0, times, condition, inputs, start, doses=doses, constants=constants)
-        outputs = self._times(times, start)
-        begin = float(outputs[0]) if start is None else float(start)
-        pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
         if self.has_delays:
+            outputs = self._times(times, start)
+            begin = float(outputs[0]) if start is None else float(start)
+            pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
             given, nominal = np.asarray(condition, dtype=np.float64).ravel(), np.ones(self.n_states)
             problem = InitialValueProblem(given, self._constants(constants), nominal, 0.0, 0.0)
             solver, start_state = DelaySolver(self.instance, self.rhs), np.asarray(x0, dtype=np.float64)
             return solver.run(start_state, begin, outputs, pieces, problem, max_step, parts)
-        plan = self._plan(begin, outputs, pieces, max_step, parts)
-        return self.by_plan(x0, plan, condition, constants), np.zeros((len(outputs), 0))
+        plan = self.plan(
+            times, condition, inputs, start, max_step=max_step, doses=doses, constants=constants, parts=parts
+        )
+        return self.by_plan(x0, plan, condition, constants), np.zeros((len(plan.after), 0))
 
     def plan(
         self,
@@ -313,14 +315,15 @@ class Evaluator:
         max_step: float,
         doses: Sequence[Events] = (),
         constants: ArrayLike | None = None,
+        parts: int = 1,
     ) -> steps.StepPlan:
         """The steps of `integrate_fixed`, of a model without events and delays. They do not depend on the initial
         state, and on constants only through doses and times at which right-hand sides switch."""
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
-        return self._plan(
-            begin, outputs, self._segments(begin, outputs, condition, inputs, doses, constants), max_step, 1
-        )
+        pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
+        sizes = (self.n_states, self.n_inputs)
+        return steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
 
     def by_plan(
         self, x0: ArrayLike, plan: steps.StepPlan, condition: ArrayLike = (), constants: ArrayLike | None = None
@@ -328,12 +331,6 @@ class Evaluator:
         """States [n_times, n_states] at the outputs of a plan; they may be infinite or NaN."""
         given = np.asarray(condition, dtype=np.float64).ravel()
         return self._stepper.run(np.asarray(x0, dtype=np.float64), plan, given, self._constants(constants))
-
-    def _plan(
-        self, begin: float, outputs: Array, pieces: Sequence[Segment], max_step: float, parts: int
-    ) -> steps.StepPlan:
-        sizes = (self.n_states, self.n_inputs)
-        return steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
 
     @cached_property
     def _integrator(self) -> Integrator:
