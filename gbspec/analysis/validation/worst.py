@@ -26,7 +26,8 @@ class WorstRow:
 
     The text has the error in terms of the measurement: in its `unit`, or relative to it where logarithms are compared,
     and in standard deviations of the noise (`of_noise`) where this is known: of the larger one of that of the fit and
-    of the one that the model states as a number (`stated`).
+    of the one that the model states as a number (`stated`). Of predictions `ahead` rows ahead it is in standard
+    deviations of these (`of_prediction`).
     """
 
     trajectory: str

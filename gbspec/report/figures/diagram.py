@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -37,20 +37,17 @@ FAINT = 0.35
 """The opacity of what is far from the data."""
 
 
-def figure(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None = None,
-           units: Mapping[str, str] | None = None) -> Figure:  # fmt: skip
+def figure(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None = None) -> Figure:
     """One panel per state: `shown` in colour, `others` (members) faint behind it, the `truth` broad and grey.
 
     Stable parts are solid, unstable ones dashed; cycles are drawn by their largest and smallest values. Parts far from
     the data are faint; the range in which the model was trained is white, the rest grey.
     """
-    panels = tuple(_panel(shown, others, truth, state, units or shown.units) for state in range(len(shown.states)))
+    panels = tuple(_panel(shown, others, truth, state) for state in range(len(shown.states)))
     return Figure(((Block(wrapped(panels, ACROSS), "below"),),))
 
 
-def _panel(
-    shown: Diagram, others: Sequence[Diagram], truth: Diagram | None, state: int, units: Mapping[str, str]
-) -> Panel:
+def _panel(shown: Diagram, others: Sequence[Diagram], truth: Diagram | None, state: int) -> Panel:
     marks: list[Mark] = [*beyond("x", (shown.low, shown.high), shown.trained)]
     if truth is not None:
         # Broad, grey and behind: dashes would look like unstable parts
@@ -59,8 +56,9 @@ def _panel(
         marks += _branches(other, state, named=False)
     marks += _branches(shown, state, named=True)
     marks += _special(shown, state)
+    name, units = shown.states[state], shown.units
     x = Axis(shown.parameter, units.get(shown.parameter, ""), range=(shown.low, shown.high))
-    return Panel(tuple(marks), x, Axis(shown.states[state], units.get(shown.states[state], "")), width=4.2, height=3.4)
+    return Panel(tuple(marks), x, Axis(name, units.get(name, "")), width=4.2, height=3.4)
 
 
 def _curves(shown: Diagram, state: int) -> Iterator[tuple[str, Array, Array, tuple[tuple[bool, bool], ...]]]:

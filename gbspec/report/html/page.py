@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -236,7 +236,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "own_constants": tables.own_constants(run),
         "correlations": tables.correlations(run),
         "metrics": tables.metrics(found.validation.to_json()),
-        "diagram": _diagram(found, store, collect.units(model)),
+        "diagram": _diagram(found, store),
         "fast": found.eigen.fast_modes if found.eigen else (),
         "reproduce": _reproduce(run),
     }
@@ -279,14 +279,14 @@ def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     return cards
 
 
-def _diagram(found: Findings, store: _Charts, units: Mapping[str, str]) -> dict[str, object] | None:
+def _diagram(found: Findings, store: _Charts) -> dict[str, object] | None:
     """Charts and special points of the bifurcation diagram."""
     if found.diagrams is None:
         return None
     shown, truth = found.diagrams
     return {
         "parameter": shown.parameter,
-        "groups": store.groups(diagram.figure(shown, truth=truth, units=units)),
+        "groups": store.groups(diagram.figure(shown, truth=truth)),
         "text": str(shown),
         "truth": "" if truth is None else str(truth),
     }
