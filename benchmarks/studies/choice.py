@@ -162,11 +162,11 @@ def forced(intervals: bool, found: dict[str, object]) -> Iterator[None]:
                      margin=self.margin, kept=chosen)  # fmt: skip
         return Outcome({"theta": refitted}, kept, True, "kept") if intervals else Outcome(state, whole, True)
 
-    ChoiceOfFit.step = step  # type: ignore[method-assign]
+    ChoiceOfFit.step = step  # type: ignore[method-assign]  # for one fit: no option asks for an outcome
     try:
         yield
     finally:
-        ChoiceOfFit.step = plain  # type: ignore[method-assign]
+        ChoiceOfFit.step = plain  # type: ignore[method-assign]  # as before
 
 
 def compared(name: str, level: float, seed: int, folder: Path) -> dict[str, object] | None:

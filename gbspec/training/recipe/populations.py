@@ -111,8 +111,8 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
         else [Planned(StageName.SEARCH, PATIENCE[patience].improved, search)]
     )
     finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
-    jumps = (likelihoods.jumps(near) for near in (False, True))
-    return [*first, likelihoods.marginal(), next(jumps), *finer, next(jumps), likelihoods.quadrature()]
+    around, near = likelihoods.jumps(near=False), likelihoods.jumps(near=True)
+    return [*first, likelihoods.marginal(), around, *finer, near, likelihoods.quadrature()]
 
 
 def jumping(parameters: Parameters) -> list[int]:
@@ -144,7 +144,7 @@ class _Likelihoods:
 
         return Planned(StageName.MARGINAL, self._most, make)
 
-    def jumps(self, near: bool) -> Planned:
+    def jumps(self, *, near: bool) -> Planned:
         """The search for constants that occur only where values jump; `near`, after finer steps, of those found."""
         places = [] if self._parameters.n_weights else jumping(self._parameters)
 

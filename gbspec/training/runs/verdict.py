@@ -4,7 +4,6 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from scipy.special import chdtr
@@ -344,18 +343,17 @@ def inseparable(model: Model) -> list[str]:
 
     There is none for a set that the model allows, and none where the analysis could not decide.
     """
-    return [f"{one.message} ({one.code}): {'; '.join((*one.notes, one.help))}" for one in _inseparable(model)]
+    findings = Findings()
+    examine(model, findings)
+    return [f"{one.message} ({one.code}): {'; '.join((*one.notes, one.help))}" for one in findings]
 
 
 def named_inseparable(model: Model) -> set[str]:
     """The names that these warnings are about."""
-    return {name for one in _inseparable(model) for name in re.findall(r"`(\w+)`", one.message)}
-
-
-def _inseparable(model: Model) -> Findings:
     findings = Findings()
-    examine(model, findings)
-    return findings
+    sets = examine(model, findings).identifiability.sets
+    told = {one.subject for one in findings}
+    return {name for one in sets if one.names[0] in told for name in one.names}
 
 
 def inseparable_by_one(model: Model) -> list[str]:
