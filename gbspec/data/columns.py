@@ -150,7 +150,7 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
     if long:
         spare = [name for name in sheet.names if name not in (time, trajectory, *LONG, "sd", *told)]
         _surplus(sheet, spare, (), findings, _unnamed_labels(spare, trajectory))
-        return Layout(True, time, trajectory, wanted, unread_infusions(model))
+        return Layout(True, time, trajectory, wanted, unread(model))
     columns = tuple(quantity for quantity in wanted if quantity.column in present)
     absent = [quantity for quantity in wanted if quantity.lacks(present)]
     suggested: set[str] = set()
@@ -158,7 +158,7 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
         other = _instead(sheet, model, quantity, absent, spare)
         suggested |= _missing(sheet, quantity.column, describe(quantity), spare, findings, _notes(quantity), other)
     optional = [q.column for q in wanted if not q.required and q.column not in present]
-    remedies = {**_unnamed_labels(spare, trajectory), **unread_infusions(model)}
+    remedies = {**_unnamed_labels(spare, trajectory), **unread(model)}
     _surplus(sheet, [name for name in spare if name not in suggested], optional, findings, remedies)
     return Layout(False, time, trajectory, columns)
 
@@ -305,7 +305,17 @@ def _has_numbers(sheet: Sheet, name: str) -> bool:
     return bool(values.is_not_null().any()) and bool((values.is_not_null() | (texts.str.len_chars() <= 4)).all())
 
 
-def unread_infusions(model: Model) -> dict[str, str]:
+def unread(model: Model) -> dict[str, str]:
+    """For columns that the model does not read as it is, but names: what declares them."""
+    seen = {channel.state for channel in model.channels}
+    states = [state.name for i, state in enumerate(model.states) if i not in seen]
+    values = [constant.name for constant in (*model.constants, *model.learnables)]
+    observed = {cell_name(name): f"`observe {name}` in the model declares that it is measured" for name in states}
+    given = {cell_name(name): f"`condition {name}` in place of the constant takes it from the table" for name in values}
+    return {**given, **observed, **_unread_infusions(model)}
+
+
+def _unread_infusions(model: Model) -> dict[str, str]:
     """For columns that would give the rates of infusions if the model's doses could last: what declares them."""
     return {
         f"infusion_{cell_name(dose.state)}": f"`dose {dose.state} over 0` in the model declares it: doses that may last"
@@ -324,7 +334,7 @@ def _surplus(
         further = len(given) - MOST_SURPLUS if rank == MOST_SURPLUS else 0
         findings.warning(
             "GB711",
-            f"column `{name}` is not used: the model declares nothing of that name",
+            f"column `{name}` is not used: the model reads nothing of that name",
             Cell(sheet.path, sheet.header, name),
             help=remedies.get(name) or (f"is `{meant}` meant?" if meant else ""),
             notes=(f"and {further:,} more columns are not used",) if further > 0 else (),

@@ -261,7 +261,7 @@ def _unknown_name(
     meant = similar(name, known)
     findings.warning(
         "GB711",
-        f"rows named `{name}` are not used: the model declares nothing of that name",
+        f"rows named `{name}` are not used: the model reads nothing of that name",
         Cell(sheet.path, row, "name"),
         help=remedy or (f"is `{meant}` meant?" if meant else ""),
         subject=name,

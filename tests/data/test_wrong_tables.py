@@ -222,6 +222,25 @@ def test_the_time_is_not_renamed_to_what_it_cannot_be(reading: Reader, column: s
     assert findings[0].help == f"does `{column}` hold it? Rename the column `t`"
 
 
+@pytest.mark.parametrize(
+    ("column", "model", "said"),
+    [
+        ("x2", reactor(channels=reactor().channels[:1]), "`observe x2` in the model declares that it is measured"),
+        (
+            "Kx",
+            reactor(channels=reactor().channels[:1], learnables=(Learnable("Kx"),)),
+            "`condition Kx` in place of the constant takes it from the table",
+        ),
+    ],
+)
+def test_a_column_of_a_name_that_the_model_has_for_something_else(
+    reading: Reader, column: str, model: Model, said: str
+) -> None:
+    for text in (f"t,x1,Da,{column}\n0,.5,.3,2\n1,.5,.3,2\n", f"t,name,value\n0,Da,.3\n0,x1,1\n1,{column},1\n"):
+        found = next(d for d in reading(text, model)[1] if d.code == "GB711" and d.subject == column)
+        assert found.help == said
+
+
 def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
     _, findings = reading("t,x1,X2,Da\n0,.5,1,.3\n1,.5,1,.3\n")
     assert "`X2`" in findings[0].help

@@ -10,14 +10,18 @@ import torch
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, sobol, spread_over_ranges
+from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
 from gbspec.training.engines import residual_vector
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, typical
 from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.judging import FEW
 from gbspec.training.recipe.sized_networks import sized_networks
 from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.recipe.weighing import first as first_weights
+from gbspec.training.stages import StageName
 from gbspec.training.starts import (
     Earlier,
     Eliminated,
@@ -35,6 +39,16 @@ from gbspec.training.starts import (
 
 SUSPECT = 0.03
 """Other curves are tried above this typical residual (in standard deviations of the data) with interpolating curves."""
+UNLIKE = 0.1
+"""Other starts of the constants are tried above this mean loss between rows (R² below 0.8), where values are few."""
+PLACES = 6
+"""So many starts of the constants are tried, spread over their ranges."""
+TRIED = 10
+"""From each of them this many iterations are tried."""
+RIDGE = 1e-2
+"""The first ridge of these; the evidence changes it."""
+CLEARLY = 0.7
+"""One of them is taken if it leaves less than this of the loss: the declared start may be what is known."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +78,48 @@ def prepare(
         return first
     kinds = curve_kinds(model, first.context.curves)
     others = [build_context(model, module, trajectories, options, seed, kind) for kind in kinds]
-    return min(first, *(_attempt(_weighed(_sized(other))) for other in others), key=_misfit)
+    best = min(first, *(_attempt(_weighed(_sized(other))) for other in others), key=_misfit)
+    return _from_other_constants(best)
+
+
+def _from_other_constants(found: Prepared) -> Prepared:
+    """The same, or the preparation from other starts of the constants if slopes and curves are clearly better met.
+
+    Slopes tell constants from functions only within a factor of their starts, and functions have the size that they
+    had beside these: where both are wrong, no later stage leads to the others.
+    """
+    context = found.context
+    model, learnables = context.model, context.model.learnables
+    values = int((context.packed().weights > 0).sum())
+    plain = bool(learnables and model.networks) and not (model.distributed or model.diffusions)
+    if not plain or values >= FEW or not found.loss > UNLIKE:
+        return found
+    drawn = spread_over_ranges(learnables, sobol(PLACES, len(learnables), context.seed))
+    starts = [Bijections.of(learnables).from_natural(natural) for natural in drawn]
+    tried = [_improved(Prepared(context, *_sized_initial(context, start), np.inf)) for start in starts]
+    best, same = min(tried, key=lambda one: one.loss), _improved(found)
+    best = best if best.loss < CLEARLY * same.loss else same
+    return best if best.loss < CLEARLY * found.loss else found
+
+
+def _improved(found: Prepared) -> Prepared:
+    """The same after a few iterations of Levenberg-Marquardt with imputed forcing."""
+    context, problem = found.context, found.context.problem()
+    imputed = replace(problem, forcing=imputed_forcing(context, problem))
+    engine = context.choice.engine(imputed, found.parameters)
+    stage = LevenbergMarquardt(
+        StageName.IMPUTED.value, TRIED, lambda i: engine, LevenbergOptions(ridge=RIDGE, evidence=True)
+    )
+    state, loss = stage.begin(found.theta), found.loss
+    for i in range(TRIED):
+        try:
+            outcome = stage.step(state, i)
+        except ComputationError:
+            break
+        state, loss = outcome.state, outcome.loss
+        if outcome.done:
+            break
+    return replace(found, theta=state["theta"], loss=loss)
 
 
 def at_step(found: Prepared, fraction: float) -> Prepared:
@@ -114,8 +169,8 @@ def _imputed_residuals(context: Context, parameters: Parameters, theta: Array) -
     return residual_vector(context.choice.engine(imputed, parameters), theta)
 
 
-def _attempt(context: Context, given: Earlier | None = None) -> Prepared:
-    parameters, theta = _sized_initial(context)
+def _attempt(context: Context, given: Earlier | None = None, start: Array | None = None) -> Prepared:
+    parameters, theta = _sized_initial(context, start)
     if context.options.warm_start and (given is None or not set(parameters.weight_shapes) <= set(given.weights)):
         theta = regress_slopes(parameters, context.module, context.points, theta, context.seed)
     if given is not None:
@@ -164,19 +219,20 @@ def initial(context: Context) -> tuple[Parameters, Array]:
     return parameters, theta
 
 
-def _sized_initial(context: Context) -> tuple[Parameters, Array]:
+def _sized_initial(context: Context, start: Array | None) -> tuple[Parameters, Array]:
     """The same; of outputs that act on unmeasured states alone, whole solutions tell the size."""
-    parameters, theta, unseen = _scaled(context)
+    parameters, theta, unseen = _scaled(context, start)
     if not context.options.warm_start or not any(mask.any() for mask in unseen.values()):
         return parameters, theta
     return sized_networks(context, parameters, theta, unseen)
 
 
-def _scaled(context: Context) -> tuple[Parameters, Array, dict[str, Mask]]:
+def _scaled(context: Context, start: Array | None = None) -> tuple[Parameters, Array, dict[str, Mask]]:
     """The layout and vector of `initial`, and the outputs of networks of which no slope tells the size."""
     model = context.model
     learnables = Bijections.of(model.learnables)
-    start = learnables.from_natural(np.array([k.start for k in model.learnables], dtype=np.float64))
+    if start is None:
+        start = learnables.from_natural(np.array([k.start for k in model.learnables], dtype=np.float64))
     fixed: Weights = {
         name: value for name, value in context.module.weights.items() if name.endswith(("_center", "_scale"))
     }
