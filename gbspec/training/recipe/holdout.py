@@ -8,6 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, predicted, residual_vector
+from gbspec.training.population import Layout, Marginal, Predictions, modes_of
 from gbspec.training.problem import Parameters, Problem, mean_loss, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.recipe.disturbed import held_out_likelihood
@@ -17,15 +18,28 @@ from gbspec.training.starts import fit_curves, refit_starts
 def held_out_score(context: Context, parameters: Parameters, theta: Array, fraction: float = 1.0) -> float:
     """Mean of half squared residuals of the held-out trajectories under teacher forcing (infinite if not finite).
 
-    With the `fraction` of the largest step that `theta` is fitted with.
+    With the `fraction` of the largest step that `theta` is fitted with. Of models that are fitted by a likelihood it is
+    the negative log likelihood of the held-out values, over their number; of a population by Laplace's method.
 
     A single trajectory of which the last rows are held out is solved from its fitted initial state; only these rows
     count.
     """
     if context.model.diffusions:
         return held_out_likelihood(context, parameters, theta)
+    if context.model.marginal:
+        return _held_out_marginal(context, parameters, theta, fraction)
     engine, vector = _fitted(context, parameters, theta, 1.0, fraction)
     return mean_loss(residual_vector(engine, vector))
+
+
+def _held_out_marginal(context: Context, parameters: Parameters, theta: Array, fraction: float) -> float:
+    engine, vector = _fitted(context, parameters, theta, 0.0, fraction)
+    layout = Layout(engine.parameters)
+    names = tuple(k.name for k in layout.distributed)
+    marginal = Marginal(layout, Predictions(engine.problem, engine.parameters, context.choice, names))
+    z = modes_of(engine.parameters, marginal.likelihood, vector)
+    found = marginal.value(vector[layout.slice()], vector[: parameters.n_weights], z, True).total
+    return found / (2 * max(int(engine.problem.seen.sum()), 1)) if np.isfinite(found) else float("inf")
 
 
 def held_out_solutions(

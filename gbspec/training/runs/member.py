@@ -26,6 +26,7 @@ from gbspec.training.recipe import (
     Context,
     Planned,
     Reached,
+    held_out_score,
     left_for_intervals,
     plan,
     recognition,
@@ -222,11 +223,12 @@ class _Runner:
         if noise is self.context.estimated:
             return
         self.context.estimated = position.estimated = noise
-        if len(self.context.held):
-            from gbspec.training.recipe import held_out_score
+        if len(self.context.held) and self.parameters.n_weights:
+            position.best_score = self._held_out(position.best, [stage.name for stage in self._fitted_stages()])
 
-            fraction = step_fraction([stage.name for stage in self._fitted_stages()])
-            position.best_score = held_out_score(self.context, self.parameters, position.best, fraction)
+    def _held_out(self, theta: Array, begun: list[str]) -> float:
+        """The score of a vector after the stages that have begun, by the held-out data."""
+        return held_out_score(self.context, self.parameters, theta, step_fraction(begun))
 
     def _take_steps(self, stage: Stage, stop: Callable[[], bool]) -> None:
         """The steps of a stage that remain. Raises ComputationError if one of them is impossible."""
@@ -290,13 +292,13 @@ class _Runner:
         )
 
     def _score(self) -> None:
-        """Keeps the vector that best predicts held-out data, or the last vector if nothing is held out."""
+        """Keeps the vector that best predicts held-out data; the last one without these, or without a network to stop.
+        Pooled stages before a likelihood have not estimated its spreads and noises yet."""
         position, score = self.position, self.position.loss
-        if len(self.context.held):
-            from gbspec.training.recipe import held_out_score
-
-            fraction = step_fraction([stage.name for stage in position.stages])
-            score = held_out_score(self.context, self.parameters, position.theta, fraction)
+        if len(self.context.held) and self.parameters.n_weights:
+            names = [stage.name for stage in position.stages]
+            pooled = self.context.model.marginal and StageName.MARGINAL not in names
+            score = math.inf if pooled else self._held_out(position.theta, names)
             if not score <= position.best_score:
                 return
         position.best, position.best_score, position.best_stages = position.theta, score, len(position.stages)
