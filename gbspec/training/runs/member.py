@@ -38,7 +38,7 @@ from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
 from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.happening import said_of_events
-from gbspec.training.runs.misjudged import without_misjudged
+from gbspec.training.runs.jumping import without_certainty
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
@@ -47,7 +47,7 @@ from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import without_loosened, without_tied
+from gbspec.training.runs.tied import without_loosened
 from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
@@ -378,8 +378,7 @@ class _Runner:
             other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
         if position.finished and not marginal:
-            for without in (without_tied, without_misjudged):
-                result.tied += without(result, self.context, self.parameters, position.best, names)
+            result.tied += without_certainty(result, self.context, self.parameters, position.best, names)
         result.tied += without_unmoved(result, self.context.model, names) if position.finished else []
         result.finished, result.notes = position.finished, list(position.notes)
         return result

@@ -1,4 +1,5 @@
 from .differentiation import with_derived as with_derived
+from .edges import at_jumps as at_jumps
 from .from_run import Earlier as Earlier
 from .from_run import earlier as earlier
 from .initial_states import refit_starts as refit_starts

@@ -29,6 +29,7 @@ from gbspec.training.engines import (
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
+from gbspec.training.starts.edges import at_jumps, may_jump
 from gbspec.training.starts.own_constants import refit_own
 from gbspec.training.starts.sizes import solved_starts
 
@@ -62,6 +63,8 @@ MOST_MINIMA = 4
 """So many minima that are equally good are remembered."""
 SETTLED = 1e-6
 """The relative fall of the objective at which those that are compared have come to rest."""
+PIECES = 24
+"""So many values of a constant at which the sum of squares jumps are tried."""
 IDLE = 0.1
 """A constant by whose change by this (on the scale of training) no residual changes is not compared."""
 
@@ -220,6 +223,7 @@ class Search:
         if done:
             minima = self._lasting(minima)
             theta, best = self._best_of_own(self._preferred(minima, theta, best), best)
+            theta, best = self._best_of_pieces(theta, best)
         endless = int(state.get("endless", 0))
         why = f" (in {endless} events follow each other without end)" if endless else ""
         remark = f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved{why}, {search}"
@@ -393,6 +397,23 @@ class Search:
             if not reached < best * (1 - SAME):
                 break
             theta, best = trial, reached
+        return theta, best
+
+    def _best_of_pieces(self, theta: Array, best: float) -> tuple[Array, float]:
+        """The best vector after constants at which the sum of squares jumps were begun at values over their ranges."""
+        if best <= FOLLOWED or not may_jump(self.engine.problem.model):
+            return theta, best
+        scale, shared = self.parameters.bijections(self.parameters.shared), self.parameters.shared
+        for place in at_jumps(self.engine, self._descended(self.engine, theta, self.iterations, SETTLED)):
+            learnable = self.parameters.model.learnables[shared[place]]
+            for value in spread_over_ranges((learnable,), (np.arange(PIECES)[:, None] + 0.5) / PIECES)[:, 0]:
+                natural, trial = self._shared(theta), theta.copy()
+                natural[place] = value
+                trial[self.parameters.places] = scale.from_natural(natural)
+                trial = self._descended(self.engine, trial, self.iterations)
+                reached = self._objective(trial)
+                if reached < best:
+                    theta, best = trial, reached
         return theta, best
 
     def _descended(self, engine: Engine, theta: Array, iterations: int, tolerance: float | None = None) -> Array:

@@ -1,0 +1,43 @@
+"""Constants of a finished fit at which the sum of squares jumps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from gbspec.arrays import Array
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context, step_fraction
+from gbspec.training.runs.constants import EXACT
+from gbspec.training.runs.misjudged import without_misjudged
+from gbspec.training.runs.summary import MemberResult, whole_solutions
+from gbspec.training.runs.tied import without_tied
+from gbspec.training.starts import at_jumps
+
+
+def without_certainty(
+    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+) -> list[str]:
+    """Takes their standard deviations from constants for which the curvature is no measure; what is to be said of
+    these. `stages` are those that led to `theta`."""
+    each = (without_tied, without_misjudged, _without_jumping)
+    return [text for without in each for text in without(result, context, parameters, theta, stages)]
+
+
+def _without_jumping(
+    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+) -> list[str]:
+    """Those at which the sum of squares jumps."""
+    if parameters.n_weights or context.model.diffusions or context.model.marginal or not result.loss > EXACT:
+        return []
+    blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
+    engine = context.engine(parameters, blend, step_fraction(stages))
+    names = [context.model.learnables[parameters.shared[i]].name for i in at_jumps(engine, theta)]
+    result.sd |= dict.fromkeys(names, math.nan)
+    return [
+        f"`{name}` ended at {result.constants[name]:.6g}, where the sum of squares jumps: a value measured then is "
+        "that before an event or a dose on one side, and that after it on the other. Every row that such a time may "
+        f"pass ends a piece with a minimum of its own, so that a better one may exist, `{name}` has no interval, and "
+        "those of the others take it for known. `gbspec profile` tries other values; so does `--effort high`"
+        for name in names
+    ]
