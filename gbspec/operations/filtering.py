@@ -102,10 +102,10 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
 
 def _uses(measured: Mask, window: int | None, trained: int) -> tuple[Use, ...]:
     """The use of each row of a trajectory with these `measured` values [R, C], of which the first `trained` rows are
-    rows of the training data."""
+    rows of the training data. Rows after the last one that was measured are of no window."""
     some = measured.any(axis=1).astype(int)
-    before = np.cumsum(some) - some
+    before, after = np.cumsum(some) - some, np.cumsum(some[::-1])[::-1]
     return tuple(
-        "window" if window is None or int(count) < window else "training" if row < trained else "predicted"
-        for row, count in enumerate(before)
+        "window" if (window is None or count < window) and later else "training" if row < trained else "predicted"
+        for row, (count, later) in enumerate(zip(before.tolist(), after.tolist(), strict=True))
     )

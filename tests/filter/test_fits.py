@@ -149,6 +149,16 @@ def test_predictions_are_smoothed_states_with_bands_that_widen_after_the_window(
     assert width[-1] == pytest.approx(2 * 1.645 * sd, rel=1e-2)
 
 
+@pytest.mark.parametrize("window", [None, 500])
+def test_rows_after_the_last_measured_one_are_predicted(fitted: tuple[Run, Trajectories], window: int | None) -> None:
+    run, data = fitted
+    (item,) = data.items
+    values = item.values.copy()
+    values[50], values[110:] = np.nan, np.nan
+    (shown,) = analysing.predict(run, replace(data, items=(replace(item, values=values),)), window=window).items
+    assert shown.used == ("window",) * 110 + ("predicted",) * (len(values) - 110)
+
+
 def test_predictions_without_a_number_are_told(
     fitted: tuple[Run, Trajectories], monkeypatch: pytest.MonkeyPatch
 ) -> None:
