@@ -18,6 +18,7 @@ from .draws import spread_over_ranges as spread_over_ranges
 from .fingerprints import beginnings as beginnings
 from .fingerprints import continued as continued
 from .fingerprints import fingerprint as fingerprint
+from .fingerprints import measured_rows as measured_rows
 from .formats import Format as Format
 from .formats import format_named as format_named
 from .keeping import content_digest as content_digest

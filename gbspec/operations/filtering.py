@@ -17,6 +17,12 @@ if TYPE_CHECKING:
 STEPS: Mapping[str, int | None] = {"1": 1, "10": 10, "all": None}
 """How many rows ahead predictions are compared with the measurements."""
 
+LACKING = (
+    "the intervals contain the disturbances and the noise, but not what the fit leaves open of constants and "
+    "functions: they are too narrow, the more so the further a row is from the last measured one"
+)
+"""What is said of predictions where the covariance is not known, as with unknown functions."""
+
 
 def errors_ahead(
     run: Run, data: Trajectories, member: int
@@ -43,7 +49,7 @@ def errors_ahead(
 
 def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:
     """Channels and states at all rows of a table, with bands, as the measurements of the first `window` rows (all of
-    them without it) show them; of the best member."""
+    them without it) show them; of the best member. Bands contain what the fit leaves open of the constants."""
     from gbspec.analysis import (
         Forecast,
         PredictedTrajectory,
@@ -63,7 +69,9 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     known = continued(run.member(run.best).info.get("beginnings"), data.items)
     items: list[PredictedTrajectory] = []
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
-    for item, longer, one in zip(data.items, known, filtered.smoothed(), strict=True):
+    covariance = run.certainties(run.best).covariance
+    each = filtered.smoothed() if covariance is None else filtered.smoothed_after(covariance.without(run.values))
+    for item, longer, one in zip(data.items, known, each, strict=True):
         rows = item.times >= item.start
         log = np.concatenate([one.log_channels, one.log[hidden]])
         mean = np.concatenate([one.channels, one.states[:, hidden]], axis=1)
@@ -93,7 +101,8 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     names = (*channels, *(states[i] for i in hidden))
     ahead = any("predicted" in item.used for item in items)
     said = (
-        *said_of_items(items), *said_of_ends(model, items, hidden), *said_of_states(model, items, tuple(hidden)),
+        *said_of_items(items, LACKING if ahead and covariance is None else ""),
+        *said_of_ends(model, items, hidden), *said_of_states(model, items, tuple(hidden)),
         *(said_of_training(run.fit.members) if ahead else ()),
     )  # fmt: skip
     found = Forecast(names, channels, states, tuple(items), 1, said, model.time.name)
@@ -102,10 +111,10 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
 
 def _uses(measured: Mask, window: int | None, trained: int) -> tuple[Use, ...]:
     """The use of each row of a trajectory with these `measured` values [R, C], of which the first `trained` rows are
-    rows of the training data."""
+    rows of the training data. Rows after the last one that was measured are of no window."""
     some = measured.any(axis=1).astype(int)
-    before = np.cumsum(some) - some
+    before, after = np.cumsum(some) - some, np.cumsum(some[::-1])[::-1]
     return tuple(
-        "window" if window is None or int(count) < window else "training" if row < trained else "predicted"
-        for row, count in enumerate(before)
+        "window" if (window is None or count < window) and later else "training" if row < trained else "predicted"
+        for row, (count, later) in enumerate(zip(before.tolist(), after.tolist(), strict=True))
     )

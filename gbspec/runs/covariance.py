@@ -11,7 +11,7 @@ few hundred vectors. The derivative g of any result with respect to (w, k) gives
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -71,6 +71,13 @@ class Covariance:
         of_weights = self.spread**2 * (np.sum(outside**2, axis=1) + np.sum(self.shares * inside**2, axis=1))
         of_constants = np.einsum("pi,ij,pj->p", constants, self.conditional, constants)
         return np.asarray(np.sqrt(of_weights + np.maximum(of_constants, 0.0)), dtype=np.float64)
+
+    def without(self, given: Collection[str]) -> Covariance:
+        """The covariance where the values of some constants are given, which have none."""
+        kept = np.array([name not in given for name in self.constants], dtype=np.float64)
+        return replace(
+            self, conditional=kept[:, None] * self.conditional * kept, coupling=kept[:, None] * self.coupling
+        )
 
     def widened(self, factor: float) -> Covariance:
         """The covariance if the data have noise with a standard deviation `factor` times as large."""

@@ -136,6 +136,39 @@ def test_a_window_that_is_given_is_kept_and_training_rows_are_no_errors(run: Run
     assert item.used == ("window",) * 3 + ("training",) * 2 + ("predicted",) * 5
 
 
+def ahead_of(item: Trajectory, measured: int) -> Trajectory:
+    """The same trajectory, of which the rows after the first `measured` ones have no values."""
+    values, counts = item.values.copy(), item.counts.copy()
+    values[measured:], counts[measured:] = np.nan, 0
+    return replace(item, values=values, counts=counts)
+
+
+@pytest.mark.parametrize("window", [None, 3])
+def test_rows_after_the_training_are_predicted_the_same_with_and_without_values(run: Run, window: int | None) -> None:
+    filled = decay("b", 0.6, seed=1)
+    tables = [Trajectories((item,), ("x",)) for item in (filled, ahead_of(filled, 5))]
+    (known,), (blank,) = (forecast(run, table, window=window).items for table in tables)
+    assert blank.used == known.used and blank.start.origin == known.start.origin
+    np.testing.assert_allclose(blank.mean, known.mean, rtol=1e-9)
+    np.testing.assert_allclose(blank.sd, known.sd, rtol=1e-9)
+
+
+def test_rows_of_the_training_are_as_uncertain_as_where_they_go_on(run: Run) -> None:
+    """A gap between measurements is no more certain for lying between rows of the training."""
+    shown = decay("b", 0.6, 5, seed=1)
+    times = np.insert(shown.times, 4, 1.7)  # a row without a value
+    values = np.insert(shown.values, 4, np.nan, axis=0)
+    counts, sd = np.insert(shown.counts, 4, 0, axis=0), np.insert(shown.sd, 4, np.nan, axis=0)
+    gap = replace(shown, times=times, values=values, counts=counts, sd=sd)
+    longer = ahead_of(decay("b", 0.6, seed=1), 5)
+    found = [forecast(run, Trajectories((item,), ("x",))).items[0] for item in (shown, longer, gap)]
+    assert [one.start.origin for one in found] == ["learned", "continued", "learned"]
+    np.testing.assert_allclose(found[0].sd, found[1].sd[:5], rtol=1e-6)
+    np.testing.assert_allclose(found[0].sd, np.delete(found[2].sd, 4, axis=0), rtol=1e-6)
+    noise = run.fit.noise["x"]
+    assert (found[2].sd[1:] > noise).all(), "what is not known of the solution is there in every row"
+
+
 def test_intervals_that_measurements_refute_are_told() -> None:
     refuted, held, few = Errors(40, 1.0, 1.0, 0.3), Errors(40, 1.0, 1.0, 0.8), Errors(9, 1.0, 1.0, 0.1)
     (said,) = said_of_coverage({"x": refuted, "y": held, "z": few})

@@ -179,12 +179,20 @@ def test_training_trajectories_are_recognised_among_rows_with_inputs_only(here: 
         "model m\nstate x in [0, 9]\ninput F held\nlearn k = 0.3 in [0, 5]\nx' = F - k*x\nobserve x\n"
     )
     rows = [(t / 4, math.exp(-t / 8) if t % 3 == 2 else None, t % 2) for t in range(16)]
-    Path("d.csv").write_text("t,x,F\n" + "".join(f"{t},{'' if x is None else x},{F}\n" for t, x, F in rows))
+    lines = [f"{t},{'' if x is None else x},{F}\n" for t, x, F in rows]
+    Path("d.csv").write_text("t,x,F\n" + "".join(lines))
     assert call("train", "m.gb", "d.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
-    result = call("predict", "run", "d.csv", "-o", "p.csv", "--json")
-    made = json.loads(result.stdout)["trajectories"][0]
-    assert (made["start"], made["rows"]["training"]) == ("learned", 16)
-    said = call("predict", "run", "d.csv", "-o", "p.csv", "--from-start").output
+
+    def made(run: str) -> tuple[str, int, int]:
+        result = call("predict", run, "d.csv", "-o", "p.csv", "--json")
+        (found,) = json.loads(result.stdout)["trajectories"]
+        return found["start"], found["rows"]["training"], found["rows"]["predicted"]
+
+    assert made("run") == ("continued", 15, 1), "its last row has no measurement"
+    Path("d.csv").write_text("t,x,F\n" + "".join(lines[:15]))
+    assert call("train", "m.gb", "d.csv", "-o", "again", "--effort", "low", "--quiet").exit_code == 0
+    assert made("again") == ("learned", 15, 0)
+    said = call("predict", "again", "d.csv", "-o", "p.csv", "--from-start").output
     assert "`--from-start`" in said and "has no effect on 1 trajectory" in said and "the window has" not in said
 
 

@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import Model
 from gbspec.operations import analysing, fitting, models
-from gbspec.runs import Run, files, open_run
+from gbspec.runs import Covariance, Run, files, open_run
 from gbspec.training import TrainOptions, filter_run, train
 from gbspec.training.engines import whiteness
 from gbspec.training.runs.filtering import FilteredRun, RowMoments
@@ -138,28 +138,41 @@ def test_predictions_are_smoothed_states_with_bands_that_widen_after_the_window(
     fitted: tuple[Run, Trajectories],
 ) -> None:
     run, data = fitted
-    frame = analysing.predict(run, data, window=60).to_frame()
+    given = replace(run, values={name: one.value for name, one in run.fit.constants.items()})
+    open_ones, known = (analysing.predict(one, data, window=60) for one in (run, given))
+    assert (open_ones.items[0].sd > known.items[0].sd).all()
+    frame = known.to_frame()
     width = (frame["X_high"] - frame["X_low"]).to_numpy()
     assert frame["used"][:60].unique().to_list() == ["window"]
     assert width[60:].min() > width[5:55].max()
-    # Far ahead the band is that of the stationary distribution and the noise.
+    # Far ahead the band of given constants is that of the stationary distribution and the noise.
     constants = run.fit.constants
     noise = run.fit.noise["X"] or 0.0
     sd = np.sqrt(constants["s"].value ** 2 / (2 * constants["theta"].value) + noise**2)
     assert width[-1] == pytest.approx(2 * 1.645 * sd, rel=1e-2)
 
 
+@pytest.mark.parametrize("window", [None, 500])
+def test_rows_after_the_last_measured_one_are_predicted(fitted: tuple[Run, Trajectories], window: int | None) -> None:
+    run, data = fitted
+    (item,) = data.items
+    values = item.values.copy()
+    values[50], values[110:] = np.nan, np.nan
+    (shown,) = analysing.predict(run, replace(data, items=(replace(item, values=values),)), window=window).items
+    assert shown.used == ("window",) * 110 + ("predicted",) * (len(values) - 110)
+
+
 def test_predictions_without_a_number_are_told(
     fitted: tuple[Run, Trajectories], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, data = fitted
-    item, smoothed = data.items[0], FilteredRun.smoothed
+    item, smoothed = data.items[0], FilteredRun.smoothed_after
 
-    def broken(self: FilteredRun, draws: int = 0) -> list[RowMoments]:
-        *rest, last = smoothed(self, draws)
+    def broken(self: FilteredRun, training: Covariance) -> list[RowMoments]:
+        *rest, last = smoothed(self, training)
         return [*rest, replace(last, channels=np.full_like(last.channels, np.nan))]
 
-    monkeypatch.setattr(FilteredRun, "smoothed", broken)
+    monkeypatch.setattr(FilteredRun, "smoothed_after", broken)
     found = analysing.predict(run, replace(data, items=(item, replace(item, label="lost"))))
     assert found.items[1].failure and not found.items[0].failure
     assert any("`lost` could not be predicted" in text for text in found.warnings)
@@ -319,3 +332,25 @@ def test_a_function_that_the_data_show_is_kept(tmp_path: Path) -> None:
     found = Evaluator(run.member(0)).functions_many("k", at[:, None]).ravel()
     assert np.abs(found - 1 / (1 + np.exp(-2 * at))).max() < 0.2
     assert not [one for one in run.fit.warnings if "do not show how" in one]
+
+
+def test_rows_ahead_have_the_uncertainty_of_the_constants(tmp_path: Path) -> None:
+    """A level with a constant speed a: h after the last row its variance is h s² + (h sd(a))² and that of the noise."""
+    model = model_in(
+        tmp_path,
+        "model drift\nstate X in [-100, 100]\nlearn a = 0.5 in [-5, 5]\nlearn s = 0.3 in [0.001, 5]\nX' = a\n"
+        "diffusion X = s\nobserve X noise normal(0.05)\n",
+    )
+    rng = np.random.default_rng(1)
+    level = np.cumsum(np.concatenate([[0.0], 0.5 + 0.3 * rng.standard_normal(30)]))
+    seen = "t,X\n" + "".join(f"{t},{x:.4f}\n" for t, x in enumerate(level + 0.05 * rng.standard_normal(31)))
+    (tmp_path / "d.csv").write_text(seen, encoding="utf-8")
+    (tmp_path / "ahead.csv").write_text(seen + "60,\n121,\n", encoding="utf-8")
+    run = train(model, read(tmp_path / "d.csv", model, Findings()), FAST, tmp_path / "run")
+    (item,) = analysing.predict(run, read(tmp_path / "ahead.csv", model, Findings(), False)).items
+    a, s, far = run.fit.constants["a"], run.fit.constants["s"].value, np.array([30.0, 91.0])
+    assert item.used[-2:] == ("predicted", "predicted")
+    np.testing.assert_allclose(item.sd[-2:, 0] ** 2, far * s**2 + (far * a.sd) ** 2 + 0.05**2, rtol=0.05)
+    given = replace(run, values={"a": a.value})
+    (item,) = analysing.predict(given, read(tmp_path / "ahead.csv", model, Findings(), False)).items
+    np.testing.assert_allclose(item.sd[-2:, 0] ** 2, far * s**2 + 0.05**2, rtol=0.05)

@@ -218,9 +218,9 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     third of them, at least three). Initial values that the first row measures are then estimated too, unless the window
     is that row alone; without `window` they are taken from it. A trajectory of the training data, recognised by
     content, has its learned initial state, and without `window` also one that begins with all rows of such a one and
-    goes on. The interval is that of a new measurement: it includes the variance over the members, the (linearised)
-    uncertainties of the estimates and of the learned model, and the noise that the fit estimated. (Without unmeasured
-    states it is that of the noise for trajectories of the training data.)
+    goes on, with or without measurements. The interval is that of a new measurement: it includes the variance over the
+    members, the (linearised) uncertainties of the estimates and of the learned model, and the noise that the fit
+    estimated.
 
     Raises ComputationError if no trajectory can be solved.
     """

@@ -10,7 +10,7 @@ import numpy as np
 
 from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
 from gbspec.analysis.prediction.estimate import Estimator, estimator_of
-from gbspec.analysis.prediction.nearby import Nearby, hidden_states, step_to_compare, variables_of
+from gbspec.analysis.prediction.nearby import Nearby, step_to_compare, variables_of
 from gbspec.analysis.prediction.noise import measured_deviations
 from gbspec.analysis.prediction.solutions import (
     Prediction,
@@ -57,8 +57,10 @@ class MemberPredictions:
         self.estimator = estimator_of(evaluator, run.model, run.fit, scales, released)
         self.scales, self.number = scales, number
         self.covariance = run.certainties(number).covariance
-        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
+        learned = learned_positions(evaluator.instance, trajectories, run.fit.data)
         self.longer = continued_positions(evaluator.instance, trajectories, run.fit.data)
+        pairs = zip(learned, self.longer, strict=True)
+        self.positions = [position if begun is None else None for position, begun in pairs]
         self.displaced = Displaced(evaluator.instance, self.covariance, frozenset(run.values))
 
     @cached_property
@@ -76,9 +78,7 @@ class MemberPredictions:
         variables = variables_of(self.model, found)
         variance = np.zeros_like(variables)
         refitted: Refit = unchanged
-        # Of channels in rows that were fitted the noise says nearly all; of unmeasured states it says nothing.
-        enough = start.origin == "learned" and not hidden_states(self.model)
-        if not found.failure and not enough:
+        if not found.failure:
             near = Nearby(self.evaluator, self.model, item, found, step_to_compare(self.run, self.number, item))
             if start.origin in ("estimated", "continued", "learned"):
                 variance, refitted = self._uncertainty(near, seen, estimator)
@@ -92,8 +92,6 @@ class MemberPredictions:
                 return near.solve(begun, evaluator)
 
             variance = variance + self.displaced.variance(start, variables, solve, refitted)
-            if start.origin == "learned":
-                variance[:, : len(self.model.channels)] = 0.0
         return View(found, variables, variance)
 
     def _start(self, index: int, seen: Trajectory, goes_on: bool) -> tuple[Start, Estimator]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import continued, evaluate, fingerprint
+from gbspec.data import continued, evaluate, fingerprint, measured_rows
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import logarithmic
 
@@ -116,10 +116,18 @@ def continued_positions(
     member: GeneratedModule, trajectories: Trajectories, data: DataRecord | None
 ) -> list[tuple[int, int] | None]:
     """For each trajectory that begins with the rows of one of the training data and goes on, the index of that one and
-    the number of rows up to its end; None for others."""
+    the number of rows up to its end; None for others. Rows without a measurement after the last one that has some go
+    on too: they are as little of the training as rows that were measured later."""
     learned = learned_positions(member, trajectories, data)
     longer = continued(member.info.get("beginnings"), trajectories.items)
-    return [found if position is None else None for found, position in zip(longer, learned, strict=True)]
+    found: list[tuple[int, int] | None] = []
+    for position, begun, item in zip(learned, longer, trajectories.items, strict=True):
+        if position is None:
+            found.append(begun)
+        else:
+            end = int(measured_rows(item).max(initial=-1)) + 1
+            found.append((position, end) if 0 < end < len(item.times) else None)
+    return found
 
 
 def learned_start(evaluator: Evaluator, position: int, item: Trajectory, origin: Origin = "learned") -> Start:

@@ -28,6 +28,7 @@ from .priors import Priors as Priors
 from .priors import prior_sd as prior_sd
 from .priors import root_mean_square as root_mean_square
 from .priors import standardised as standardised
+from .priors import widest as widest
 from .stage import Outcome as Outcome
 from .stage import Stage as Stage
 from .stage import State as State

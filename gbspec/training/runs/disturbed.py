@@ -15,6 +15,7 @@ from gbspec.runs import (
     NORMAL_90,
     Certainties,
     ChannelRecord,
+    Covariance,
     LikelihoodRecord,
     NoiseRecord,
     ObjectiveRecord,
@@ -22,6 +23,7 @@ from gbspec.runs import (
     WhitenessRecord,
 )
 from gbspec.training.engines import GONE, Filtered, FilterEngine, filter, whiteness
+from gbspec.training.optimise import widest
 from gbspec.training.problem import Parameters, autocorrelation_of, in_time
 from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
@@ -189,9 +191,34 @@ def _whiteness(engine: FilterEngine, found: Filtered) -> dict[str, WhitenessReco
 def certainties(
     context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
 ) -> Certainties:
-    """The certainty of a finished fit: with disturbances that of its constants stands in `fit.json` alone."""
+    """The certainty of a finished fit; with disturbances and unknown functions there is no covariance."""
     if not context.model.diffusions:
         return of_squares.certainties(context, parameters, theta, stages, member)
     engine = filter_of(context, parameters)
-    found = engine.filtered(whole_vector(context, engine, theta))
-    return Certainties(None, of_squares.support_of(engine.problem, parameters, theta, engine.row_states(found), member))
+    vector = whole_vector(context, engine, theta)
+    found = engine.filtered(vector)
+    support = of_squares.support_of(engine.problem, parameters, theta, engine.row_states(found), member)
+    known = None if parameters.n_weights or not found.finite else _of_constants(engine, vector, found)
+    return Certainties(known, support)
+
+
+def _of_constants(engine: FilterEngine, vector: Array, found: Filtered) -> Covariance | None:
+    """The covariance of the constants that trajectories share, with all else integrated out; None where the data say
+    nothing of one of them."""
+    parameters, count = engine.parameters, len(engine.parameters.shared)
+    places = slice(parameters.n_weights, parameters.n_shared)
+    slopes = parameters.bijections(parameters.shared).derivative(vector[places])
+    conditional = slopes[:, None] * engine.covariance(vector, found)[places, places] * slopes
+    if not np.isfinite(conditional).all():
+        return None
+    size = np.sqrt(np.maximum(np.diag(conditional), 1e-300))
+    share = np.minimum(1.0, widest(parameters, vector) / size)
+    return Covariance(
+        names=(),
+        constants=tuple(parameters.model.learnables[i].name for i in parameters.shared),
+        spread=0.0,
+        vectors=np.zeros((0, 0)),
+        shares=np.zeros(0),
+        coupling=np.zeros((count, 0)),
+        conditional=share[:, None] * conditional * share,
+    )

@@ -18,11 +18,19 @@ from gbspec.training.problem import Integers
 from gbspec.training.recipe import build_context
 
 if TYPE_CHECKING:
-    from gbspec.runs import Run
+    from gbspec.runs import Covariance, Run
 
 
 _Coordinates = tuple[Array, Array, Array, Array]
 """Coordinates [R, n] and their covariances [R, n, n], channels [R, C] and the variances of new measurements."""
+_Path = Callable[[Array, Filtered], _Coordinates]
+_Variances = tuple[Array, Array]
+
+PAIRS = 16
+"""The most pairs of displaced constants; up to so many constants the variance is that of the linearised model."""
+SHORTENED = 0.1
+"""The differences are of so many standard deviations, so that they are nearly linear and far above the tolerance to
+which smoothed states are iterated."""
 
 
 @dataclass(frozen=True)
@@ -75,23 +83,54 @@ class FilteredRun:
     def smoothed(self, draws: int = 0) -> list[RowMoments]:
         """States and channels at the rows of each trajectory as all used measurements show them. The standard
         deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
-        return self._moments(self._path, draws)
+        return self._moments(self._path, self._of_draws(self._path, draws))
+
+    def smoothed_after(self, training: Covariance) -> list[RowMoments]:
+        """The same with the uncertainty of the constants that the fit to other data has left."""
+        return self._moments(self._path, self._of_constants(self._path, training))
 
     def one_ahead(self, draws: int = 0) -> list[RowMoments]:
         """The same as the measurements before each row show them; NaN in the first rows of trajectories."""
-        return self._moments(self._before, draws)
+        return self._moments(self._before, self._of_draws(self._before, draws))
 
-    def _moments(self, path: Callable[[Array, Filtered], _Coordinates], draws: int) -> list[RowMoments]:
+    def _of_draws(self, path: _Path, draws: int) -> _Variances | None:
+        """The variances of coordinates [R, n] and channels [R, C] over parameters that the data may have come from."""
+        if not draws or not self.finite:
+            return None
+        engine, seen = self.engine, self.found.seen
+        found = [(each, engine.filtered(each, seen)) for each in engine.draws(self.vector, self.found, draws)]
+        paths = [path(each, one)[0::2] for each, one in found if one.finite]
+        if len(paths) < 2:
+            return None
+        z, y = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
+        return z, y
+
+    def _of_constants(self, path: _Path, training: Covariance) -> _Variances | None:
+        """The same by differences along the columns of a square root of a covariance of shared constants."""
+        parameters, squares = self.engine.parameters, []
+        places = slice(parameters.n_weights, parameters.n_shared)
+        slopes = parameters.bijections(parameters.shared).derivative(self.vector[places])
+        names = [parameters.model.learnables[i].name for i in parameters.shared]
+        for _, constants in training.displacements(np.random.default_rng(67), PAIRS) if self.finite else []:
+            by = dict(zip(training.constants, constants, strict=True))
+            change = np.zeros(len(self.vector))
+            change[places] = SHORTENED * np.array([by.get(name, 0.0) for name in names]) / slopes
+            ends = [self.vector + change, self.vector - change]
+            found = [self.engine.filtered(end, self.found.seen) for end in ends]
+            if all(one.finite for one in found):
+                up, down = (path(end, one)[0::2] for end, one in zip(ends, found, strict=True))
+                squares.append([((a - b) / (2 * SHORTENED)) ** 2 for a, b in zip(up, down, strict=True)])
+        if not squares:
+            return None
+        z, y = (np.mean(np.array(tables), axis=0) for tables in zip(*squares, strict=True))
+        return z, y
+
+    def _moments(self, path: _Path, between: _Variances | None) -> list[RowMoments]:
         engine, log, log_y = self.engine, self.engine.coordinates.log, self.engine.noise.log
         z, p, y, variance = path(self.vector, self.found)
         variances = np.diagonal(p, axis1=1, axis2=2), variance
-        if draws and self.finite:
-            seen = self.found.seen
-            found = [(each, engine.filtered(each, seen)) for each in engine.draws(self.vector, self.found, draws)]
-            paths = [path(each, one)[0::2] for each, one in found if one.finite]
-            if len(paths) > 1:
-                between = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
-                variances = tuple(own + more for own, more in zip(variances, between, strict=True))
+        if between is not None:
+            variances = variances[0] + between[0], variances[1] + between[1]
         sd, spread = (np.sqrt(np.maximum(each, 0.0)) for each in variances)
         states = engine.coordinates.states(z)
         sd = np.where(log, sd, sd / engine.coordinates.slopes(states))
