@@ -14,6 +14,7 @@ from .levenberg_marquardt import LevenbergOptions as LevenbergOptions
 from .levenberg_marquardt import evidence as evidence
 from .levenberg_marquardt import moved as moved
 from .levenberg_marquardt import noise_variance as noise_variance
+from .maximum import likeliest as likeliest
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import huber as huber
 from .normal_equations import huber_each as huber_each
