@@ -49,7 +49,9 @@ from .systems.system import system_of as system_of
 from .validation.metrics import ChannelErrors as ChannelErrors
 from .validation.metrics import channel_errors as channel_errors
 from .validation.metrics import share_text as share_text
+from .validation.step_check import StepCheck as StepCheck
 from .validation.step_check import check_fit as check_fit
+from .validation.step_check import filter_check as filter_check
 from .validation.truth_errors import has_reference as has_reference
 from .validation.truth_errors import truth_evaluator as truth_evaluator
 from .validation.truth_errors import truth_model as truth_model

@@ -184,16 +184,19 @@ def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) 
 
 @packages()
 def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] = "mean") -> Validation:
-    """Errors of a run on data, at half its step, by an adaptive solver, and against the truth."""
+    """Errors of a run on data, at half its step, by an adaptive solver, and against the truth; with disturbances also
+    of the filter's predictions from row to row, of which the step is checked."""
     from gbspec.analysis import validate as check
 
     found = check(run, data, member=member)
     if not run.model.diffusions or data is None:
         return found
-    from gbspec.operations.filtering import errors_ahead
+    from gbspec.operations.filtering import check_steps, errors_ahead
 
-    ahead, worst = errors_ahead(run, data, run.best if member == "mean" else member)
-    return replace(found, ahead=ahead, worst=worst or found.worst)
+    one = run.best if member == "mean" else member
+    (ahead, worst), steps = errors_ahead(run, data, one), check_steps(run, data, one)
+    said = (steps.warning,) if steps.warning else ()
+    return replace(found, ahead=ahead, worst=worst or found.worst, step_check=steps, warnings=(*found.warnings, *said))
 
 
 @packages()

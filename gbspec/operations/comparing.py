@@ -11,7 +11,7 @@ from gbspec.diagnostics import Diagnostic, UserError, packages
 from gbspec.json_values import JsonObject
 
 if TYPE_CHECKING:
-    from gbspec.runs import PopulationRecord, Run
+    from gbspec.runs import LikelihoodRecord, Run
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Ratio:
     freedom: int
     p: float
     boundary: bool
-    """Whether the smaller model has a spread of 0, or a normal noise where the larger has Student's, or Poisson counts
-    where it has negative binomial ones, at the edge of what is possible: p is then too large."""
+    """Whether the smaller model has a spread or disturbance of 0, or a normal noise where the larger has Student's, or
+    Poisson counts where it has negative binomial ones, at the edge of what is possible: p is then too large."""
 
 
 @dataclass(frozen=True)
@@ -82,38 +82,69 @@ class Comparison:
 def compare(runs: Sequence[Run]) -> Comparison:
     """Compares runs of the same data.
 
-    Raises UserError (GB775) if the data or the columns of which the models speak differ, or a run was not fitted by the
-    marginal likelihood.
+    Likelihoods are marginal ones, or those of innovations (models with `diffusion`), each at its maximum.
+
+    Raises UserError (GB775) if the data or the columns of which the models speak differ, a run was not fitted by a
+    likelihood, or likelihoods are not of the same values.
     """
     found: list[tuple[Run, Compared]] = []
     for run in runs:
-        population = run.fit.population
-        if population is None:
-            message = f"`{run.path}` was not fitted by a likelihood"
-            help_text = (
-                "models with populations (`per trajectory ~ lognormal`) or learned noises (`noise normal(s)`) are"
-            )
-            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+        one = _compared(run)
         if run.fit.data.sha256 != runs[0].fit.data.sha256:
-            message = f"`{run.path}` and `{runs[0].path}` were fitted to different data"
-            raise UserError([Diagnostic("GB775", message, None, help="fit both models to the same table")])
+            raise _refused(run, runs[0], "were fitted to different data", "fit both models to the same table")
         if _measured(run) != _measured(runs[0]):
-            message = f"`{run.path}` and `{runs[0].path}` do not observe the same columns of the table"
-            help_text = "likelihoods are compared of the same measured values"
-            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+            said = "do not observe the same columns of the table"
+            raise _refused(run, runs[0], said, "likelihoods are compared of the same measured values")
+        _check_ways(run, runs[0])
         if _counts(run) != _counts(runs[0]):
-            message = f"`{run.path}` and `{runs[0].path}` were fitted to different numbers of values of the same table"
             help_text = (
                 "zeros of a state that one model keeps at 0 do not count in its fit; empty these cells to compare both"
             )
-            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
-        found.append((run, _compared(run, population)))
+            raise _refused(run, runs[0], "were fitted to different numbers of values of the same table", help_text)
+        found.append((run, one))
     ways = {run.fit.population.nodes for run, _ in found if run.fit.population is not None}
     if len(ways) > 1:
         message = "the likelihoods were computed in different ways: by Laplace's method and by quadrature"
         raise UserError([Diagnostic("GB775", message, None, help="fit all of them with the same `--quadrature`")])
     tests = [test for first, second in combinations(found, 2) if (test := _ratio(first, second)) is not None]
     return Comparison(tuple(one for _, one in found), tuple(tests), _differences(found))
+
+
+def _refused(run: Run, other: Run, said: str, help_text: str) -> UserError:
+    return UserError([Diagnostic("GB775", f"`{run.path}` and `{other.path}` {said}", None, help=help_text)])
+
+
+def _check_ways(run: Run, other: Run) -> None:
+    """Raises UserError (GB775) where likelihoods of the same values are not the same function of them: marginal ones
+    and those of innovations, with starts taken from first values or not, of logarithms or not."""
+    if not (run.model.diffusions or other.model.diffusions):
+        return
+    if bool(run.model.diffusions) is not bool(other.model.diffusions):
+        said = "have likelihoods of different kinds, the one marginal, the other that of innovations"
+        raise _refused(run, other, said, "compare models that all have `diffusion`, or none")
+    for name, (starts, log) in _ways(run).items():
+        its_starts, its_log = _ways(other)[name]
+        if log is not its_log:
+            said = f"have likelihoods of `{name}` on different scales: the noise of the one is that of logarithms"
+            raise _refused(run, other, said, "write the same kind of noise in both models")
+        if starts != its_starts:
+            said = (
+                f"have different starts of the state that `{name}` measures: one spreads widely around its first value "
+                "(nothing says where it starts), the other does not, and likelihoods of that value differ by the spread"
+            )
+            raise _refused(run, other, said, "write the same `initial` in both models")
+
+
+def _ways(run: Run) -> dict[str, tuple[bool, bool]]:
+    """Of each column that a model observes: whether the start of its state is spread around the first value, and
+    whether the likelihood is that of logarithms."""
+    from gbspec.ir import logarithmic
+
+    states, out = run.model.states, {}
+    for channel, log in zip(run.model.channels, logarithmic(run.model), strict=True):
+        wide = channel.state is not None and states[channel.state].initial.kind == "measured"
+        out[channel.column] = wide, bool(log)
+    return out
 
 
 def _measured(run: Run) -> frozenset[str]:
@@ -127,15 +158,42 @@ def _counts(run: Run) -> dict[str, int | None]:
     return {channel.column: channels[channel.name].values for channel in run.model.channels if channel.name in channels}
 
 
-def _compared(run: Run, population: PopulationRecord) -> Compared:
-    return Compared(
-        str(run.path),
-        run.model.name,
-        population.minus2ll,
-        population.parameters,
-        population.minus2ll + 2 * population.parameters if population.aic is None else population.aic,
-        float("nan") if population.bic is None else population.bic,
-    )
+def _compared(run: Run) -> Compared:
+    """The likelihood of a run. Raises UserError (GB775) if it has none that can be compared."""
+    population = run.fit.population
+    if population is not None:
+        return Compared(
+            str(run.path),
+            run.model.name,
+            population.minus2ll,
+            population.parameters,
+            population.minus2ll + 2 * population.parameters if population.aic is None else population.aic,
+            float("nan") if population.bic is None else population.bic,
+        )
+    found = _innovations(run)
+    if found is None:
+        message = f"`{run.path}` was not fitted by a likelihood"
+        help_text = (
+            "models with populations (`per trajectory ~ lognormal`), learned noises (`noise normal(s)`) or random "
+            "disturbances (`diffusion`) are"
+        )
+        raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+    if run.model.networks:
+        message = (
+            f"`{run.path}` has unknown functions, whose weights have a prior: it is not at a maximum of likelihood"
+        )
+        help_text = "`gbspec crossvalidate` compares models with `diffusion` and unknown functions"
+        raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+    if found.least is None or found.aic is None or found.bic is None:
+        message = f"`{run.path}` does not have the maximum of its likelihood"
+        help_text = "fit it again: it is of an older version of gbspec, or its filter is not finite"
+        raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+    return Compared(str(run.path), run.model.name, found.least, found.parameters, found.aic, found.bic)
+
+
+def _innovations(run: Run) -> LikelihoodRecord | None:
+    """The likelihood of innovations of a run's best member; None where it was fitted otherwise."""
+    return run.fit.members[run.numbers.index(run.best)].likelihood if run.fit.members else None
 
 
 def _parameters(run: Run) -> frozenset[str]:
@@ -143,7 +201,9 @@ def _parameters(run: Run) -> frozenset[str]:
     model = run.model
     medians = {k.distribution.median: k.name for k in model.distributed if k.distribution is not None}
     names = [k.name for k in (*model.learnables, *model.implied) if not k.per_trajectory]
-    return frozenset(medians.get(name, name) for name in names)
+    found = _innovations(run)
+    noises = [] if found is None else [f"noise of {name}" for name in found.noise]
+    return frozenset([*(medians.get(name, name) for name in names), *noises])
 
 
 def _ratio(first: tuple[Run, Compared], second: tuple[Run, Compared]) -> Ratio | None:
@@ -158,7 +218,12 @@ def _ratio(first: tuple[Run, Compared], second: tuple[Run, Compared]) -> Ratio |
     (small, less), (large, more) = (first, second) if a < b else (second, first)
     fall, freedom = less.minus2ll - more.minus2ll, abs(len(a) - len(b))
     p = float(gammaincc(freedom / 2, max(fall, 0.0) / 2))
-    edges = [(_deviations(run), [c.noise and c.noise.kind for c in run.model.channels]) for run in (small, large)]
+    if not _disturbances(small) <= _disturbances(large) or _own(small) != _own(large):
+        return None
+    edges = [
+        (_deviations(run), _disturbances(run), [c.noise and c.noise.kind for c in run.model.channels])
+        for run in (small, large)
+    ]
     return Ratio(less.run, more.run, fall, freedom, p, edges[0] != edges[1])
 
 
@@ -169,12 +234,26 @@ def _deviations(run: Run) -> set[tuple[str, str]]:
     return found | {(name, level.column) for name, made in each for level in made.levels}
 
 
+def _own(run: Run) -> set[str]:
+    """The constants that each trajectory has for itself, without a distribution."""
+    return {k.name for k in run.model.learnables if k.per_trajectory and k.distribution is None}
+
+
+def _disturbances(run: Run) -> set[tuple[str, object]]:
+    """The disturbed states with the sizes of their disturbances."""
+    model = run.model
+    values = model.inlined([diffusion.value for diffusion in model.diffusions])
+    return {(diffusion.state, value) for diffusion, value in zip(model.diffusions, values, strict=True)}
+
+
 def _same_equations(first: Run, second: Run) -> bool:
     """Whether two models have the same balances, starts and channels (their noises may differ)."""
 
     def equations(run: Run) -> tuple[object, ...]:
         model = run.model
         starts = tuple(state.initial.value for state in model.states)
+        if model.diffusions:  # starts that nothing says are spread by ranges and declared values
+            starts += tuple((state.initial.kind, state.start, state.range) for state in model.states)
         left = model.inlined([equation.residual for equation in model.constraints])
         return model.inlined(model.balances), left, starts, model.inlined([c.value for c in model.channels])
 

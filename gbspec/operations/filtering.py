@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from gbspec.analysis import ChannelErrors, Forecast, Use, WorstRow
+    from gbspec.analysis import ChannelErrors, Forecast, StepCheck, Use, WorstRow
     from gbspec.arrays import Mask
     from gbspec.data import Trajectories
     from gbspec.runs import Run
@@ -45,6 +45,22 @@ def errors_ahead(
         }
     spreads = (one.channel_sd for one in filtered.one_ahead())
     return out, worst_ahead(run, data, 1, list(zip(filtered.ahead(1), spreads, strict=True)))
+
+
+def check_steps(run: Run, data: Trajectories, member: int) -> StepCheck:
+    """Whether the predictions of a member's filter depend on the steps that it takes from row to row. There is nothing
+    to check where they are exact, or follow a tolerance."""
+    from gbspec.analysis import StepCheck, filter_check
+    from gbspec.training import filter_run, without_steps
+
+    if without_steps(run.model) or run.tolerance(member) is not None:
+        return StepCheck(None, None)
+    coarse = filter_run(run, data, member)
+    step = coarse.longest_step
+    if not step:
+        return StepCheck(None, None)
+    fine = filter_run(run, data, member, max_step=step / 2)
+    return filter_check(step, [item.label for item in data.items], coarse.states_ahead(), fine.states_ahead())
 
 
 def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:

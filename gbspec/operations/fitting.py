@@ -59,11 +59,15 @@ def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run
     """The run fitted to `data`, with the check of each member's step and, before all others, warnings for those that
     depend on it."""
     from gbspec.analysis import check_fit
+    from gbspec.operations.filtering import check_steps
     from gbspec.training import split
 
     if len(data) == 1:  # of a single trajectory the last rows were held out; the others were trained on
         data, _ = split(data, options.holdout, options.seed)
-    checks = check_fit(run, data)
+    if run.model.diffusions:
+        checks = tuple(check_steps(run, data, number) for number in run.numbers)
+    else:
+        checks = check_fit(run, data)
     warnings = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
     records = tuple(check.record() for check in checks)
     return run.amended(replace(run.fit, step_checks=records, warnings=(*warnings, *run.fit.warnings)))
@@ -121,5 +125,8 @@ def without_disturbances(command: str) -> Diagnostic:
     message = (
         f"`gbspec {command}` is not for a model with `diffusion`: it computes squared residuals of whole solutions"
     )
-    help = "`gbspec report` and `fit.json` have the standard deviations and intervals of its constants"
+    help = (
+        "`gbspec report` and `fit.json` have the standard deviations and intervals of its constants; `gbspec compare` "
+        "tests it against a fit with one of them at a value (`const`)"
+    )
     return Diagnostic("GB772", message, None, help=help)

@@ -249,6 +249,15 @@ def population_lines(run: Run) -> list[str]:
     return [*lines, "\n".join([said, *pairs, *noises, *errors])]
 
 
+def innovations_line(run: Run) -> list[str]:
+    """The likelihood of the best member's innovations, at its maximum; nothing for other runs."""
+    found = run.fit.members[run.numbers.index(run.best)].likelihood if run.fit.members else None
+    if found is None or found.least is None or found.aic is None or found.bic is None:
+        return []
+    said = f"-2 log likelihood {found.least:.4f} (innovations; at its maximum), {found.parameters} parameters"
+    return [f"{said}, AIC {found.aic:.2f}, BIC {found.bic:.2f}"]
+
+
 def interval_of(profile: ProfileRecord | None) -> str:
     """The interval of a profile; a dash where none was made or some fit has not converged."""
     if profile is None or (all(end is None for end in profile.interval) and profile.trust in ("fit", "neither")):
@@ -277,7 +286,7 @@ def run_summary(run: Run) -> str:
         header = ["constant", "value", "sd", "interval", "profile", "truth"]
         keep = [i for i in range(len(header)) if i < 4 or any(row[i] != "-" for row in rows)]
         parts.append(table([header[i] for i in keep], [[row[i] for i in keep] for row in rows]))
-    parts += population_lines(run)
+    parts += [*population_lines(run), *innovations_line(run)]
     parts += _own_constants(run)
     members = run.fit.members
     if members:

@@ -61,6 +61,9 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
     if check.half_step is not None and check.adaptive is not None and not check.warning:
         off = number(100 * max(check.half_step, check.adaptive), 2)
         good.append(f"Smaller steps change the solutions by at most {off} % of the states' ranges.")
+    elif check.ahead and check.half_step is not None and not check.warning:
+        off = number(100 * check.half_step, 2)
+        good.append(f"Smaller steps change predictions from row to row by at most {off} % of the states' ranges.")
     warnings = [*found.warnings_after(run.fit.warnings), *profile_verdicts(run)]
     for warning in warnings:
         if len(run.numbers) == 1:

@@ -116,7 +116,9 @@ class NoiseRecord:
 
 @dataclass(frozen=True)
 class LikelihoodRecord:
-    """The likelihood that a fit maximised: `objective` says which. `parameters` is the number of fitted ones."""
+    """The likelihood of a fit: `objective` says which. `parameters` is the number of fitted ones, `minus2ll` is that at
+    the estimates, of which sizes of disturbances and noises maximise the restricted likelihood, and `least` at the
+    maximum of the likelihood itself, to which `aic` and `bic` belong (None in runs of older versions)."""
 
     objective: str
     minus2ll: float | None
@@ -126,6 +128,7 @@ class LikelihoodRecord:
     bic: float | None
     noise: Mapping[str, NoiseRecord] = field(default_factory=dict)
     whiteness: Mapping[str, WhitenessRecord] = field(default_factory=dict)
+    least: float | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -12,6 +12,7 @@ from .progress import Progress as Progress
 from .progress import Silent as Silent
 from .progress import Update as Update
 from .recipe.context import split as split
+from .recipe.context import without_steps as without_steps
 from .recipe.disturbed import check_limits as check_limits
 from .runs.filtering import FilteredRun as FilteredRun
 from .runs.filtering import filter_run as filter_run

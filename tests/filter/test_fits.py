@@ -354,3 +354,44 @@ def test_rows_ahead_have_the_uncertainty_of_the_constants(tmp_path: Path) -> Non
     given = replace(run, values={"a": a.value})
     (item,) = analysing.predict(given, read(tmp_path / "ahead.csv", model, Findings(), False)).items
     np.testing.assert_allclose(item.sd[-2:, 0] ** 2, far * s**2 + 0.05**2, rtol=0.05)
+
+
+DRIFT = PROCESS.split("truth")[0]
+STEPPED = DRIFT.replace("theta*(mu - X)", "theta*(mu - X^3)")
+FORCED = DRIFT.replace("theta*(mu - X)", "theta*(mu*(1 + 0.2*sin(20*t)) - X)")
+
+
+def test_exact_moments_have_no_step_to_check_and_max_step_changes_nothing(
+    fitted: tuple[Run, Trajectories], tmp_path: Path
+) -> None:
+    _, data = fitted
+    model, said = model_in(tmp_path, DRIFT.replace("0.5 in [0.01, 10]", "300 in [200, 4000]")), list[str]()
+
+    class Heard:
+        def update(self, update: object) -> None: ...
+
+        def message(self, text: str) -> None:
+            said.append(text)
+
+    run = fitting.train(model, data, tmp_path / "run", replace(FAST, max_step=0.01), Heard())
+    assert run.fit.step_checks[0].half_step is None  # the span of 24 times the rate of 200 is no step of a solver
+    assert not any("step" in warning for warning in run.fit.warnings)
+    assert any("`--max-step 0.01` changes nothing" in text for text in said)
+    found = analysing.validate(run, data)
+    assert found.step_check.half_step is None and "half step" not in str(found)
+
+
+@pytest.mark.parametrize("text", [STEPPED, FORCED])
+def test_the_step_that_is_checked_is_that_of_the_filter(text: str, tmp_path: Path) -> None:
+    model = model_in(tmp_path, text)
+    data = data_in(tmp_path, model)
+    bad = fitting.train(model, data, tmp_path / "bad", replace(FAST, max_step=0.2))
+    good = fitting.train(model, data, tmp_path / "good", replace(FAST, max_step=0.02))
+    small = good.fit.step_checks[0].half_step
+    assert small is not None and small < 1e-3
+    assert "of predictions from row to row: half step" in str(analysing.validate(good, data))
+    large = bad.fit.step_checks[0]
+    assert large.half_step is not None and large.step == pytest.approx(0.2) and large.adaptive is None
+    told = any("predictions from row to row depend on the step of 0.2" in warning for warning in bad.fit.warnings)
+    assert told is (large.half_step > 0.01)
+    assert large.half_step > 20 * small

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.training.engines.objective import linearise
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.levenberg_marquardt import (
@@ -21,7 +22,7 @@ from gbspec.training.optimise.levenberg_marquardt import (
 )
 from gbspec.training.optimise.normal_equations import NormalEquations
 
-from .conftest import URP, model_of, problem_of, urp_data
+from .conftest import URP, model_of, problem_of, trajectory, urp_data
 
 
 @pytest.fixture(scope="module")
@@ -148,3 +149,28 @@ def test_the_ridge_of_vanishing_weights_is_finite() -> None:
     assert np.isfinite(ridge)
     fit.equations.ridge = ridge
     assert np.isfinite(fit.equations.step(1.0)).all()
+
+
+def test_a_constant_at_its_bound_comes_back_where_the_sum_of_squares_falls_inwards() -> None:
+    text = (
+        "model m\nstate x in [0, 3] = 1\nlearn k = 0.5 in [0, 1]\nlearn c = 0.1 in [0, 2]\n"
+        "x' = c - k*x\nobserve x noise normal(0.05)\n"
+    )
+    times = np.linspace(0.0, 10.0, 21)
+    values = 0.2 / 0.3 + (1 - 0.2 / 0.3) * np.exp(-0.3 * times)
+    values += 0.02 * np.random.default_rng(0).standard_normal(21)
+    data = Trajectories((trajectory("1", 0.0, times, values[:, None], []),), ("x",))
+    problem, parameters, theta = problem_of(model_of(text), data, 0.5, blend=0.0)
+    parameters = replace(parameters, start_value=np.ones((1, 1)))
+    options, found = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2), []
+    for start in (theta[0], -np.log(1e-14) / 3):
+        stage = LevenbergMarquardt("least squares", 60, lambda _: TorchEngine(problem, parameters), options)
+        theta[0] = start
+        state = stage.begin(theta.copy())
+        for i in range(60):
+            outcome = stage.step(state, i)
+            state = outcome.state
+            if outcome.done:
+                break
+        found.append(outcome.loss)
+    assert found[1] == pytest.approx(found[0], rel=1e-6)

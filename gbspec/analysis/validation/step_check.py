@@ -4,6 +4,9 @@ A model trained through a Runge-Kutta step can depend on the error of that step 
 solved from the same initial states with the training's step, with each of its sub-steps halved (which are shorter than
 the step where inputs change often), and adaptively, and compared. Fits whose steps end where right-hand sides switch
 (`--switches`) looked at half the step themselves; nothing here takes such steps.
+
+Models with random disturbances were fitted by a filter, which solves from row to row: of these its predictions are
+compared with those in half of its steps. Where it solves exactly there is nothing to compare.
 """
 
 from __future__ import annotations
@@ -43,7 +46,8 @@ class StepCheck:
 
     `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None without a step or
     trajectories; infinite if the fixed step diverges. `unsolved`: number of trajectories that the training's step can
-    solve and the adaptive solver cannot. `label`: the trajectory in which half the step differs most.
+    solve and the adaptive solver cannot. `label`: the trajectory in which half the step differs most. `ahead`: it is
+    that of a filter's predictions from row to row, for which there is no adaptive solution.
     """
 
     half_step: float | None
@@ -52,6 +56,7 @@ class StepCheck:
     trajectories: int = 0
     unsolved: int = 0
     label: str = ""
+    ahead: bool = False
 
     def record(self) -> StepRecord:
         """What `fit.json` keeps of it."""
@@ -70,6 +75,8 @@ class StepCheck:
     @property
     def warning(self) -> str | None:
         """The warning if the right-hand side depends on the step; otherwise None."""
+        if self.ahead:
+            return self._of_filter
         if self.unsolved and self.half_step is not None and self.half_step <= DEPENDS:
             return (
                 f"an adaptive solver cannot solve {self.unsolved} of {self._checked}; the training step of "
@@ -103,6 +110,20 @@ class StepCheck:
             f"the learned right-hand side depends on its training step of {self.step:.6g}: solutions with half the "
             f"step or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a "
             "smaller `--max-step` before computing eigenvalues or bifurcations"
+        )
+
+    @property
+    def _of_filter(self) -> str | None:
+        """The warning of a filter."""
+        if self.half_step is None or self.half_step <= DEPENDS:
+            return None
+        if math.isfinite(self.half_step):
+            said = f"differ by up to {100 * self.half_step:.2g} % of the states' ranges"
+        else:
+            said = "are not finite"
+        return (
+            f"predictions from row to row depend on the step of {self.step:.6g} in which the filter takes them: in "
+            f"steps of half of it they {said}. Train with a smaller `--max-step`"
         )
 
 
@@ -158,6 +179,20 @@ def step_check(
     halved = _halved(evaluator, step, [*chosen, *solved], scale)
     label = max(halved, key=lambda each: halved[each])
     return StepCheck(halved[label], _largest(adaptive - coarse, scale), step, len(chosen), len(solved), label)
+
+
+def filter_check(step: float, labels: Sequence[str], coarse: Sequence[Array], fine: Sequence[Array]) -> StepCheck:
+    """The check of a filter in steps of at most `step`: its predictions of the states [R, n] from the row before, by
+    trajectory, in these steps and in halves of them; NaN in first rows, which nothing is before."""
+    later = [np.isfinite(a).all(axis=1) for a in coarse]
+    every = np.concatenate([a[rows] for a, rows in zip(coarse, later, strict=True)])
+    if not len(every):
+        return StepCheck(None, None, step, ahead=True)
+    scale, _ = truth_scale(every, np.maximum(np.abs(every).max(axis=0), 1e-12))
+    each = zip(labels, coarse, fine, later, strict=True)
+    found = {label: _largest((b - a)[rows], scale) for label, a, b, rows in each if rows.any()}
+    label = max(found, key=lambda one: found[one])
+    return StepCheck(found[label], None, step, len(found), 0, label, ahead=True)
 
 
 def _halved(

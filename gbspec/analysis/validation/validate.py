@@ -191,6 +191,8 @@ class Validation(Tabled):
         check = self.step_check
         if check.half_step is not None and check.adaptive is not None:
             lines.append(f"step {check.step:.6g}: half step {check.half_step:.3g}, adaptive {check.adaptive:.3g}")
+        elif check.ahead and check.half_step is not None:
+            lines.append(f"step {check.step:.6g} of predictions from row to row: half step {check.half_step:.3g}")
         if self.truth is not None:
             lines.append(str(self.truth))
         return [*lines, *(f"warning: {warning}" for warning in self.warnings)]
@@ -235,7 +237,9 @@ def validate(
         channels, errors = _on_data(run.model, present, predicted, known)
         worst = worst_row(run, present, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
-        check = step_check(evaluators[0], step, trajectories.items, each[0])
+        # With disturbances the step is the filter's, which does not solve from the start.
+        if not run.model.diffusions:
+            check = step_check(evaluators[0], step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)

@@ -1,6 +1,7 @@
 from .adam import Adam as Adam
 from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
+from .certainty import Certainty as Certainty
 from .curvature import covariance as covariance
 from .curvature import lack_of_fit as lack_of_fit
 from .curvature import log_evidence as log_evidence
@@ -8,12 +9,12 @@ from .curvature import loosened as loosened
 from .held import tied_at_bounds as tied_at_bounds
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
-from .levenberg_marquardt import Certainty as Certainty
 from .levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .levenberg_marquardt import LevenbergOptions as LevenbergOptions
 from .levenberg_marquardt import evidence as evidence
 from .levenberg_marquardt import moved as moved
 from .levenberg_marquardt import noise_variance as noise_variance
+from .maximum import likeliest as likeliest
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import huber as huber
 from .normal_equations import huber_each as huber_each

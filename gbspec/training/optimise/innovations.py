@@ -19,15 +19,20 @@ from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Filtered, FilterEngine, Guess
+from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.held import tied_at_bounds
-from gbspec.training.optimise.levenberg_marquardt import Certainty
+from gbspec.training.optimise.lost import not_finite
 from gbspec.training.optimise.priors import Priors
+from gbspec.training.optimise.released import released
 from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
 from gbspec.training.optimise.stage import Outcome, State, scalar
-from gbspec.training.problem import Integers, measured_states
+from gbspec.training.problem import Integers
 
 ATTEMPTS = 12
 """Number of dampings tried in one iteration before the stage ends."""
+STRONG, USUAL = 1e3, 1.0
+"""Where steps with a larger damping lower nothing, the stage ends; small gains of steps with more than the usual one
+do not say that it rests."""
 LONGEST = 0.7
 """Largest change of a constant in one step, in units of its trainable value (a factor of e^2.1); of a noise and of a
 weight it is 2."""
@@ -48,6 +53,9 @@ CONSTANT = "constant."
 """What the entries of its state begin with."""
 STARTS, ROUND = 3, 8
 """The number of vectors from which fits begin, and the iterations after which these are compared."""
+LOWER, RELEASES = 1e-3, 3
+"""A constant is released from its bound if that lowers the negative log likelihood by more; how often, at most: the
+restricted likelihood may take a size back."""
 MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov", "shares")
 """The filter's moments and steps in the state, from which the next search of them begins."""
 ROUNDING = 1e-13
@@ -178,8 +186,11 @@ class InnovationsFit:
         return {**state, **self._begun(state["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
 
     def _rested(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
-        """An iteration of the best start. Where the fit with unknown functions rests, one in which these are constants
-        follows, whose state is kept beside that of the fit."""
+        """An iteration of the best start. Where it rests, constants at bounds may be released; where the fit with
+        unknown functions does, one in which these are constants follows, whose state is kept beside that of the fit."""
+        freed = self._released(state) if outcome.done else None
+        if freed is not None:
+            return Outcome(freed, outcome.loss, False)
         weights = self.engine.parameters.n_weights
         if self.precision is not None or not weights:
             return Outcome(state, outcome.loss, outcome.done)
@@ -189,6 +200,24 @@ class InnovationsFit:
         begin[:weights] = 0.0
         constant = {**self._begun(begin), "ridge": np.array(PINNED), "pinned": np.array(1.0)}
         return Outcome({**state, **_prefixed(constant)}, outcome.loss, False)
+
+    def _released(self, state: State) -> State | None:
+        """The state with constants inside of bounds at which they were stuck; None if there are none."""
+        engine, times = self.engine, float(state.get("released", 0.0))
+        vector, ridge = np.concatenate([state["theta"], state["log_sd"]]), scalar(state, "ridge")
+        places = np.arange(engine.parameters.n_weights, engine.parameters.n_shared)
+
+        def at(u: Array) -> Array:
+            moved = vector.copy()
+            moved[places] = u
+            return moved
+
+        def value(u: Array) -> float:
+            return self._value(at(u), ridge, engine.filtered(at(u), guess=_moments(state)))
+
+        maps = engine.parameters.bijections(engine.parameters.shared)
+        u = released(maps, vector[places], value, LOWER) if times < RELEASES else None
+        return None if u is None else {**state, **self._begun(at(u)), "released": np.array(times + 1)}
 
     def _compared(self, state: State, iteration: int) -> Outcome:
         """An iteration of the fit with constant functions; at its end the fit with the smaller criterion is kept."""
@@ -229,7 +258,7 @@ class InnovationsFit:
         damping, ridge, settled = (scalar(state, name) for name in ("damping", "ridge", "settled"))
         system = self._system(vector, ridge, _moments(state))
         if not (system.found.finite and np.isfinite(system.matrix).all()):
-            raise self._failure(vector, system.found)
+            raise not_finite(engine, system.found, self.name)
         term = self._restricted(state, system, vector, ridge) if settled else _restored(state)
         system = replace(system, gradient=system.gradient + term.slope)
         count = max(int(engine.problem.seen.sum()), 1)
@@ -243,16 +272,24 @@ class InnovationsFit:
                 break
             damping *= 4.0
         if not gain > 0:
-            # The likelihood rests; the restricted one is yet to be maximised.
-            return Outcome(state | {"settled": np.array(1.0)}, system.found.value / count, settled > 0)
+            # The likelihood rests, unless shorter steps are left; the restricted one is yet to be maximised.
+            rests = settled > 0 and (abs(predicted) < SMALL or damping > STRONG)
+            new: State = {"settled": np.array(1.0)}
+            if settled and not rests:
+                new["damping"] = np.array(damping)
+            return Outcome(state | new, system.found.value / count, rests)
         theta, log_sd = engine.layout.split(trial)
         estimated = self.precision is None and engine.parameters.n_weights and not scalar(state, "pinned")
         if estimated and gain < SETTLED:
             ridge = self._evidence(system, trial, ridge)
-        rests = settled > 0 and min(gain, predicted) < SMALL * max(1.0, 1e-3 * abs(system.value - gain))
+        rests = (
+            settled > 0
+            and damping <= USUAL
+            and min(gain, predicted) < SMALL * max(1.0, 1e-3 * abs(system.value - gain))
+        )
         small = scalar(state, "small") + 1 if rests else 0.0
         faster = 0.2 if gain / max(predicted, 1e-300) > 0.5 else 2.0
-        new: State = {
+        new = {
             "theta": theta,
             "log_sd": log_sd,
             "damping": np.array(float(np.clip(damping * faster, 1e-9, 1e6))),
@@ -332,33 +369,6 @@ class InnovationsFit:
         weights, covariance = vector[:count], inverse(system.matrix, self.engine.layout.free, ROUNDING)
         effective = float(np.clip(count - ridge * np.trace(covariance[:count, :count]), 1.0, count))
         return float(np.sqrt(ridge * effective / max(float(weights @ weights), 1e-12)))
-
-    def _failure(self, vector: Array, found: Filtered) -> ComputationError:
-        """The error for a vector whose solution is not finite: trajectory and time."""
-        engine = self.engine
-        packed, legs = engine.problem.packed, engine.legs
-        bad = np.flatnonzero(found.bad | ~np.isfinite(found.end_mean).all(axis=1))
-        first = int(bad[0]) if len(bad) else 0
-        owner = int(legs.owner[first])
-        step = min(int(legs.first[first]), max(packed.depth - 1, 0))
-        time = float(packed.t[step, owner]) if packed.depth else float(packed.start[owner])
-        x = engine.coordinates.states(found.start_mean[first])
-        fixed = engine.tolerance is None and engine.exact is None
-        steps = "a smaller `--max-step`, `--solver ros34pw2` (for stiff equations), " if fixed else ""
-        values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(engine.problem.model.states, x, strict=True))
-        seen = measured_states(engine.problem.model, packed)[1].any(axis=0)
-        spread = np.logical_and((engine.start_variance > 0).any(axis=0), ~seen)
-        names = [state.name for state, wide in zip(engine.problem.model.states, spread.tolist(), strict=True) if wide]
-        learned = (
-            f"; `initial {names[0]} learn` takes the spread from its start, which nothing measures" if names else ""
-        )
-        return ComputationError(
-            f"the filter's moments are not finite in stage `{self.name}`",
-            where=f"trajectory `{packed.labels[owner]}` at {engine.problem.model.time.name} = {time:.6g}, "
-            f"where {values}",
-            remedy=f"try {steps}bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range and a start for "
-            f"each state (`state x in [0, 1] = 0.5`){learned}",
-        )
 
     # ---------------------------------------------------------------- what is known at the end
     def estimated(self, state: State) -> Estimated:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, Linearised, linearise, residual_vector
+from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights, of_estimates
 from gbspec.training.optimise.priors import Priors, widest
+from gbspec.training.optimise.released import released
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.problem import Parameters, Problem, mean_loss
 
@@ -27,6 +29,9 @@ DIFFERENCE, BEND = 0.1, 0.75
 """The fraction of a step used to estimate its curvature, and the largest correction relative to the step."""
 CORRECTIONS, WORTHWHILE = 8, 0.02
 """Largest number of corrections of a step, and the relative decrease of the objective that each must achieve."""
+LOWER = 2e-3
+"""A constant is released from its bound if that lowers the objective by more than this many times the mean loss, which
+is that part of -2 log likelihood."""
 LARGEST_RIDGE = 1e100
 """Where data show no function the weights go to zero, and the ridge of the evidence with their inverse square: it is
 finite, since an infinite one times the zeros of what it does not concern is no number."""
@@ -95,7 +100,7 @@ class LevenbergMarquardt:
         found = _searched(fit, damping)
         if not found.after.value < fit.start.value:
             kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
-            return Outcome(kept, mean_loss(fit.measured(fit.start)), True)
+            return self._ended(Outcome(kept, mean_loss(fit.measured(fit.start)), True), fit)
         before, after, trial = fit.start.value, found.after, theta + found.move
         rests = (before - after.value) < self.options.tolerance * max(before, 1e-300)
         if self.options.evidence:
@@ -114,7 +119,29 @@ class LevenbergMarquardt:
             "small": np.array(small),
         }
         measured = fit.measured(after)
-        return Outcome(new, mean_loss(measured), small >= 2 or self.close(trial, measured))
+        if self.close(trial, measured):
+            return Outcome(new, mean_loss(measured), True)
+        reached = Outcome(new, mean_loss(measured), small >= 2)
+        return self._ended(reached, fit) if reached.done else reached
+
+    def _ended(self, outcome: Outcome, fit: _Fit) -> Outcome:
+        """The last iteration, or one after which constants are inside of bounds at which they were stuck."""
+        theta, parameters = outcome.state["theta"], fit.parameters
+
+        def at(u: Array) -> Array:
+            moved: Array = theta.copy()
+            moved[parameters.places] = u
+            return moved
+
+        def value(u: Array) -> float:
+            return fit.solved(at(u) - fit.theta).value
+
+        least = LOWER * outcome.loss
+        u = released(parameters.bijections(parameters.shared), theta[parameters.places], value, least)
+        if u is None:
+            return outcome
+        begun = {"theta": at(u), "damping": np.array(self.options.damping), "small": np.array(0.0)}
+        return Outcome(outcome.state | begun, outcome.loss, False)
 
     def close(self, theta: Array, residuals: Array) -> bool:
         """Whether the mean loss of these residuals of a vector is so small that the stage ends."""
@@ -187,35 +214,6 @@ def _own_deviations(parameters: Parameters, theta: Array, local: Array, variance
     own = np.sqrt(np.maximum(local[:, :count], 0.0) * variance)
     slopes = parameters.bijections(parameters.own).derivative(blocks)
     return np.where(np.abs(moves) <= own, np.abs(slopes) * np.hypot(own, moves), np.nan)
-
-
-@dataclass(frozen=True)
-class Certainty:
-    """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and the degrees of
-    freedom that the fit used, with priors and ridge taken into account; NaN, and no correlations, if not known.
-
-    `own` [N, j] are the standard deviations of the constants per trajectory. `loosened` [k], where constants ended at
-    bounds: how many times as large the deviations of those tied to them would be with these free (1 for others, NaN for
-    these); else empty.
-    """
-
-    deviations: Array = field(default_factory=lambda: np.zeros(0))
-    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    freedom: float = float("nan")
-    own: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    loosened: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        """Raises ValueError if the arrays do not fit each other, as those of a damaged file."""
-        count = self.deviations.shape
-        if len(count) != 1 or self.own.ndim != 2 or self.correlations.shape not in ((0, 0), count * 2):
-            raise ValueError("the standard deviations, or their correlations, have another shape")
-
-    @classmethod
-    def unknown(cls, parameters: Parameters) -> Certainty:
-        """The result if nothing is known."""
-        count, own = len(parameters.shared), (parameters.trajectories, len(parameters.own))
-        return cls(np.full(count, np.nan), np.full((count, count), np.nan), own=np.full(own, np.nan))
 
 
 @dataclass(frozen=True)

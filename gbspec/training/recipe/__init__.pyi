@@ -6,6 +6,7 @@ from .disturbed import check_disturbed as check_disturbed
 from .disturbed import check_limits as check_limits
 from .disturbed import filter_of as filter_of
 from .disturbed import held_out_filter as held_out_filter
+from .disturbed import said_of_step as said_of_step
 from .disturbed import whole_vector as whole_vector
 from .finer import astray as astray
 from .holdout import held_out_score as held_out_score

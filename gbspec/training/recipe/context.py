@@ -197,7 +197,7 @@ def build_context(
     """The context: splits off the held-out data and prepares the rest; `kind`: that of the curves."""
     kept, held = split(trajectories, options.holdout, seed)
     method = METHODS[module.solver]
-    max_step = options.max_step or exact_step(model, trajectories)
+    max_step = exact_step(model, trajectories, options.max_step)
     if max_step is None:
         max_step = np.inf if is_adaptive(method, options) else default_max_step(trajectories)
     instance = module.random(seed)
@@ -229,11 +229,17 @@ def build_context(
     return context
 
 
-def exact_step(model: Model, trajectories: Trajectories) -> float | None:
-    """The largest step of a model with disturbances whose moments are solved exactly: that of the longest trajectory;
-    None for others."""
-    if not model.diffusions or linear_in_states(model) is None:
-        return None
+def without_steps(model: Model) -> bool:
+    """Whether the moments of a model with disturbances are exact between two rows, whatever the step."""
+    linear = linear_in_states(model) if model.diffusions else None
+    return linear is not None and linear.steady
+
+
+def exact_step(model: Model, trajectories: Trajectories, chosen: float | None) -> float | None:
+    """The largest step: the one that is `chosen`; without it, or where steps change nothing, that of the longest
+    trajectory for a model with disturbances that is linear in its states; None if neither is known."""
+    if not model.diffusions or linear_in_states(model) is None or (chosen and not without_steps(model)):
+        return chosen
     return max((item.end - item.start for item in trajectories.items), default=1.0) or 1.0
 
 

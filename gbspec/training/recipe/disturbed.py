@@ -14,7 +14,7 @@ from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.optimise import InnovationsFit, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, teacher_forcing
-from gbspec.training.recipe.context import Context, start_states
+from gbspec.training.recipe.context import Context, start_states, without_steps
 from gbspec.training.recipe.planned import Planned, Reached
 from gbspec.training.recipe.stiffness import solver_of
 from gbspec.training.stages import StageName
@@ -41,6 +41,16 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
         found.append(Diagnostic("GB770", message, None, help="leave it out"))
     if found:
         raise UserError(found)
+
+
+def said_of_step(model: Model, options: TrainOptions) -> list[str]:
+    """A remark for a step that changes nothing."""
+    if options.max_step is None or not without_steps(model):
+        return []
+    return [
+        f"`--max-step {options.max_step:g}` changes nothing: the model is linear in its states, and what disturbs them "
+        "follows exactly from row to row"
+    ]
 
 
 def check_limits(model: Model, data: Trajectories) -> list[str]:

@@ -93,6 +93,12 @@ class FilteredRun:
         """The same as the measurements before each row show them; NaN in the first rows of trajectories."""
         return self._moments(self._before, self._of_draws(self._before, draws))
 
+    def states_ahead(self) -> list[Array]:
+        """The states [R, n] at the rows of each trajectory as the measurements before each row show them, in steps as
+        they were taken; NaN in first rows."""
+        before = self.engine.row_states(self.found)[0]
+        return [np.where(np.arange(len(mine))[:, None] > 0, before[mine], np.nan) for mine in self._rows]
+
     def _of_draws(self, path: _Path, draws: int) -> _Variances | None:
         """The variances of coordinates [R, n] and channels [R, C] over parameters that the data may have come from."""
         if not draws or not self.finite:
@@ -172,6 +178,11 @@ class FilteredRun:
         spread = np.einsum("rci,rij,rcj->rc", reading.c, p, reading.c)
         return reading.y, np.maximum(spread, 0.0) + np.where(own > 0, own, usual)
 
+    @property
+    def longest_step(self) -> float:
+        """The longest step that was taken; 0 without any."""
+        return float(self.engine.problem.packed.h.max(initial=0.0))
+
     @cached_property
     def _rows(self) -> list[Integers]:
         packed = self.engine.problem.packed
@@ -188,11 +199,12 @@ def filter_run(
     member: int,
     window: int | None = None,
     hidden: Sequence[Mask] | None = None,
+    max_step: float | None = None,
 ) -> FilteredRun:
     """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used, and
-    none that are `hidden` (for each trajectory a mask of its rows)."""
+    none that are `hidden` (for each trajectory a mask of its rows). `max_step`: its largest step, else the fit's."""
     instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
-    step = run.step(member)
+    step = run.step(member) if max_step is None else max_step
     tolerance = run.tolerance(member)
     options = TrainOptions(backend="torch", device="cpu", max_step=step, solver=run.fit.solver, tolerance=tolerance)
     context = build_context(run.model, run.module, trajectories, options, 0)

@@ -34,7 +34,15 @@ from gbspec.runs import (
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe import build_context, check_disturbed, check_limits, chosen_solver, plan, solver_of
+from gbspec.training.recipe import (
+    build_context,
+    check_disturbed,
+    check_limits,
+    chosen_solver,
+    plan,
+    said_of_step,
+    solver_of,
+)
 from gbspec.training.runs import verdict
 from gbspec.training.runs.absent import without_data
 from gbspec.training.runs.backend import agreed, faster_backend
@@ -139,6 +147,8 @@ class Fitting:
 
     def begin(self) -> None:
         """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
+        for remark in said_of_step(self.model, self.options):
+            self.progress.message(remark)
         self._begun = (self.path / files.FIT).is_file()
         if self._begun:
             before = _prepare(self.path, self.model, self.record, self.options)
