@@ -28,7 +28,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.training.population.groups import alike
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.likelihood import Compared, Likelihood
+from gbspec.training.population.likelihood import LEAST_POSITIVE, Compared, Likelihood
 from gbspec.training.population.predictions import Predictions
 from gbspec.training.population.quadrature import Quadrature
 from gbspec.training.population.sweeps import by_constants
@@ -187,8 +187,10 @@ class Marginal:
         variance, noise, further = self._noise_information(u, of)
         logs = likelihood.logs.numpy()
         moved = sensitivity * by_deviation[measured.owner]
+        gone = logs & (found.mean <= LEAST_POSITIVE)
         for table in (mean, moved):
-            table[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
+            table[logs] /= np.where(gone, 1.0, found.mean)[logs, None]
+            table[gone] = 0.0
         spread = {
             p: likelihood.groups.placed(torch.from_numpy(moved @ factor), likelihood.owner).numpy()
             for p, factor in self._factor_slopes(torch.from_numpy(u)).items()
