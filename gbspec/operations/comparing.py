@@ -82,8 +82,8 @@ class Comparison:
 def compare(runs: Sequence[Run]) -> Comparison:
     """Compares runs of the same data.
 
-    Raises UserError (GB775) if the data or the columns of which the models speak differ, or a run was not fitted by the
-    marginal likelihood.
+    Raises UserError (GB775) if the data or the columns of which the models speak differ, a run was not fitted by the
+    marginal likelihood, or its likelihood is not at its maximum.
     """
     found: list[tuple[Run, Compared]] = []
     for run in runs:
@@ -93,6 +93,10 @@ def compare(runs: Sequence[Run]) -> Comparison:
             help_text = (
                 "models with populations (`per trajectory ~ lognormal`) or learned noises (`noise normal(s)`) are"
             )
+            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+        if population.minus2ll is None or not population.maximum:
+            message = f"the likelihood of `{run.path}` is not at its maximum: the stage that seeks it ended early"
+            help_text = "`gbspec report` and the warnings of the run say why; maxima are compared"
             raise UserError([Diagnostic("GB775", message, None, help=help_text)])
         if run.fit.data.sha256 != runs[0].fit.data.sha256:
             message = f"`{run.path}` and `{runs[0].path}` were fitted to different data"
@@ -128,6 +132,7 @@ def _counts(run: Run) -> dict[str, int | None]:
 
 
 def _compared(run: Run, population: PopulationRecord) -> Compared:
+    assert population.minus2ll is not None
     return Compared(
         str(run.path),
         run.model.name,
