@@ -313,7 +313,8 @@ def _record(context: Context, found: PopulationResult, objective: Objective, max
         a: {b: float(found.correlation[i, j]) for j, b in enumerate(names) if j != i and found.correlation[i, j] != 0}
         for i, a in enumerate(names)
     }
-    values = len(objective.marginal.likelihood.value)
+    likelihood = objective.marginal.likelihood
+    values = len(likelihood.value) + float(likelihood.more.sum())  # replicates count as values of their own
     return PopulationRecord(
         finite(found.point.minus2ll),
         effects,
