@@ -27,7 +27,7 @@ from gbspec.data.subjects import warn_of_subjects
 from gbspec.data.trajectories import Limits, Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
-from gbspec.ir import Model
+from gbspec.ir import Model, logarithmic
 
 __all__ = ["read", "read_frame", "write"]
 
@@ -95,7 +95,7 @@ def _cut(
     table: Records, model: Model, measured_only: bool, conditions: Array, given: Sequence[Given]
 ) -> tuple[Trajectory, ...]:
     """The trajectories of valid records, in the order of their first rows."""
-    values, counts, sd, scatter, limits = _measurements(table, len(model.channels))
+    values, counts, sd, scatter, limits = _measurements(table, logarithmic(model))
     starts = starts_of(table, model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
     inputs = [_pieces(table, i) for i in range(len(model.inputs))]
@@ -137,13 +137,14 @@ def _cut(
     return tuple(items)
 
 
-def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, Array, Limits | None]:
+def _measurements(table: Records, logs: Mask) -> tuple[Array, Array, Array, Array, Limits | None]:
     """Values, numbers of measurements, standard deviations and scatter at each key, [keys, channels]; replicates
-    averaged; and limits, which have no value (None without any).
+    averaged, on the scale on which they are fitted: logarithms in the channels `logs` [channels], whose average is the
+    geometric one; and limits, which have no value (None without any).
 
     The standard deviation of an average of n is sqrt(sum of squares)/n; it is given if all of them have one.
     """
-    size = len(table.time)
+    size, channels = len(table.time), len(logs)
     values, counts = np.full((size, channels), np.nan), np.zeros((size, channels))
     sd, scatter = np.full((size, channels), np.nan), np.zeros((size, channels))
     limits: Limits | None = None
@@ -158,18 +159,30 @@ def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, A
         values[cells.key, c] = cells.value
         sd[cells.key, c] = cells.sd
         if several.any():
-            mean = np.bincount(cells.key, weights=cells.value, minlength=size)
-            variance = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
-            values[several, c] = mean[several] / counts[several, c]
-            sd[several, c] = np.sqrt(variance[several]) / counts[several, c]
-            off = (cells.value - values[cells.key, c]) ** 2
-            scatter[several, c] = np.bincount(cells.key, weights=off, minlength=size)[several]
+            found = _averages(cells.key, cells.value, cells.sd, size, bool(logs[c]))
+            for whole, part in zip((values, sd, scatter), found, strict=True):
+                whole[several, c] = part[several]
         if cells.side is not None and limits is not None:
             censored = cells.side != 0
             limits.side[cells.key, c] = cells.side
             limits.value[cells.key[censored], c] = cells.value[censored]
             values[cells.key[censored], c] = np.nan
     return values, counts, sd, scatter, limits
+
+
+def _averages(key: NDArray[np.int64], value: Array, sd: Array, size: int, logs: bool) -> tuple[Array, Array, Array]:
+    """The averages of the values [m] of each key [size], their standard deviations, and the sums of squared deviations
+    from them; of logarithms all three in the unit of the values, in which small deviations are those of logarithms
+    times the average."""
+    fitted = np.log(value) if logs else value
+    with np.errstate(invalid="ignore"):  # keys without a value
+        count = np.bincount(key, minlength=size)
+        mean = np.bincount(key, weights=fitted, minlength=size) / count
+        variance = np.bincount(key, weights=(sd / value if logs else sd) ** 2, minlength=size)
+        off = np.bincount(key, weights=(fitted - mean[key]) ** 2, minlength=size)
+        average = np.exp(mean) if logs else mean
+        unit = average if logs else np.ones(size)
+        return average, unit * np.sqrt(variance) / count, unit**2 * off
 
 
 def _conditions(table: Records, model: Model) -> Array:

@@ -65,13 +65,14 @@ class Trajectory:
     """One trajectory of R rows and C channels, float64.
 
     `start` is its start time (the model's `from`, else the first row's time); `times` [R] strictly increase and have
-    each row with a measurement; `values` [R, C] is NaN where a channel was not measured (replicates are averaged);
+    each row with a measurement; `values` [R, C] is NaN where a channel was not measured (replicates are averaged, of
+    channels with log-normal noise by the geometric mean);
     `counts` [R, C] is the number of measurements that an entry averages (0 where none); `sd` [R, C] is the standard
     deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and `doses` follow the
     model's order. `end` is the last of `times`. `run_in`: with what the time from `start` to `begins` is filled, so
     that a steady state is reached; None without one. `limits` are its censored entries, which have no value and count
     as one measurement; None without any. `scatter` [R, C] is the sum of squared deviations of an entry's replicates
-    from their average; None without replicates.
+    from their average (log-normal noise: of their logarithms, times the average squared); None without replicates.
     """
 
     label: str

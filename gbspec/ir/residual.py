@@ -71,9 +71,11 @@ def residuals(
     """
     difference = predicted - measured
     if logarithmic.any():
-        ratio = predicted / xp.clip(xp.abs(measured), LEAST_SIZE, None)
+        logs = _like(predicted, logarithmic, xp)
+        # Elsewhere the quotient is 1: that of large numbers by a measured zero overflows.
+        ratio = xp.where(logs, predicted, 1.0) / xp.where(logs, xp.clip(xp.abs(measured), LEAST_SIZE, None), 1.0)
         safe = xp.clip(ratio, LOG_FLOOR, None)
-        difference = xp.where(_like(predicted, logarithmic, xp), xp.log(safe) + (ratio - safe) / LOG_FLOOR, difference)
+        difference = xp.where(logs, xp.log(safe) + (ratio - safe) / LOG_FLOOR, difference)
     plain = xp.where(factor > 0, difference * factor, xp.zeros_like(difference))
     return plain if censored is None else censored.residuals(plain, xp)
 
@@ -89,9 +91,10 @@ def slopes(
     """Derivatives of the residuals with respect to the predictions [..., C]; arguments as in `residuals`."""
     out = factor + xp.zeros_like(predicted)
     if logarithmic.any():
-        size = xp.clip(xp.abs(measured), LEAST_SIZE, None)
-        slope = factor / (size * xp.clip(predicted / size, LOG_FLOOR, None))
-        out = xp.where(_like(predicted, logarithmic, xp), slope, out)
+        logs = _like(predicted, logarithmic, xp)
+        size = xp.where(logs, xp.clip(xp.abs(measured), LEAST_SIZE, None), 1.0)
+        slope = factor / (size * xp.clip(xp.where(logs, predicted, 1.0) / size, LOG_FLOOR, None))
+        out = xp.where(logs, slope, out)
     if censored is None:
         return out
     return out * censored.slopes(residuals(predicted, measured, factor, logarithmic, xp))

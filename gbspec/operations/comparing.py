@@ -85,7 +85,7 @@ def compare(runs: Sequence[Run]) -> Comparison:
     Likelihoods are marginal ones, or those of innovations (models with `diffusion`), each at its maximum.
 
     Raises UserError (GB775) if the data or the columns of which the models speak differ, a run was not fitted by a
-    likelihood, or likelihoods are not of the same values.
+    likelihood, its likelihood is not at its maximum, or likelihoods are not of the same values.
     """
     found: list[tuple[Run, Compared]] = []
     for run in runs:
@@ -162,6 +162,10 @@ def _compared(run: Run) -> Compared:
     """The likelihood of a run. Raises UserError (GB775) if it has none that can be compared."""
     population = run.fit.population
     if population is not None:
+        if population.minus2ll is None or not population.maximum:
+            message = f"the likelihood of `{run.path}` is not at its maximum: the stage that seeks it ended early"
+            help_text = "`gbspec report` and the warnings of the run say why; maxima are compared"
+            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
         return Compared(
             str(run.path),
             run.model.name,

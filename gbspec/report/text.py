@@ -228,7 +228,9 @@ def population_lines(run: Run) -> list[str]:
         shrinkage = "-" if one.shrinkage is None else f"{round(100 * one.shrinkage)} %"
         rows.append([name, one.distribution, number(one.median, 6), number(one.sd, 4), between, shrinkage])
     way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
-    said = f"-2 log likelihood {found.minus2ll:.4f} ({way}), {found.parameters:.4g} parameters"
+    value = "not a finite number" if found.minus2ll is None else f"{found.minus2ll:.4f}"
+    ended = "" if found.maximum else ", not at its maximum: the stage that seeks it ended early"
+    said = f"-2 log likelihood {value} ({way}{ended}), {found.parameters:.4g} parameters"
     if found.aic is not None and found.bic is not None:
         said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
     if found.exact_hessian is not None:

@@ -64,9 +64,11 @@ class PopulationRecord:
     numbers (of weights the effective one), `aic` is -2 log L + 2 p, `bic` -2 log L + p log(measured values);
     `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks, and `npde` by channel.
     `exact_hessian` is -2 log L by Laplace's method with the exact inner Hessian at the same estimates (None: that is
-    not positive definite for some trajectory)."""
+    not positive definite for some trajectory). `minus2ll` is None where it is not a finite number. `maximum`: whether
+    the likelihood is at its maximum; where the stage that maximises it ended early, it is not, and there are no AIC and
+    BIC."""
 
-    minus2ll: float
+    minus2ll: float | None
     effects: Mapping[str, EffectRecord]
     correlations: Mapping[str, Mapping[str, float]]
     parameters: float = 0.0
@@ -76,6 +78,7 @@ class PopulationRecord:
     ridge: float | None = field(default=None, metadata=OMITTED)
     npde: Mapping[str, ErrorsRecord] = field(default_factory=dict)
     exact_hessian: float | None = None
+    maximum: bool = True
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -109,6 +109,20 @@ LEARNED = DECAY.replace("learn k", "learn s = 0.2 in [0.01, 2]\nlearn k").replac
 )
 PROPORTIONAL = LEARNED.replace("[1, 20]\n", "[1, 20] per trajectory ~ lognormal\n").replace("normal(s)", "normal(s*y)")
 
+LOGARITHMS = LEARNED.replace("normal(s)", "lognormal(s)")
+
+
+def test_replicates_of_logarithms_have_the_geometric_average(tmp_path: Path) -> None:
+    """With the standard deviation and the scatter of logarithms, in the unit of the values."""
+    (tmp_path / "m.gb").write_text(LOGARITHMS)
+    (tmp_path / "d.csv").write_text("trajectory,t,name,value,sd\na,0,y,2,0.2\na,0,y,8,0.4\na,1,y,3,0.3\n")
+    data = read_data(tmp_path / "d.csv", frontend.load_model(tmp_path / "m.gb", Findings()), Findings())
+    (item,) = data.items
+    assert item.values[:, 0] == pytest.approx([4.0, 3.0])
+    assert item.sd[:, 0] == pytest.approx([4 * np.hypot(0.1, 0.05) / 2, 0.3])
+    assert item.scatter is not None
+    assert item.scatter[:, 0] == pytest.approx([4**2 * 2 * np.log(2) ** 2, 0.0])
+
 
 def table(path: Path, apart: float) -> Path:
     """Six decays from starts of their own, of which each value is measured three times, `apart` in time."""
@@ -123,7 +137,7 @@ def table(path: Path, apart: float) -> Path:
     return path
 
 
-@pytest.mark.parametrize("model", [LEARNED, PROPORTIONAL])
+@pytest.mark.parametrize("model", [LEARNED, PROPORTIONAL, LOGARITHMS])
 def test_the_likelihood_of_replicates_is_that_of_rows_of_their_own(tmp_path: Path, model: str) -> None:
     """Rows so close to each other that the solution does not change between them."""
     (tmp_path / "m.gb").write_text(model.replace("state y", "time t from 0\nstate y"))
@@ -139,5 +153,6 @@ def test_the_likelihood_of_replicates_is_that_of_rows_of_their_own(tmp_path: Pat
     assert not [text for text in replicates.warnings if "replicates" in text], "subjects differ, the model is right"
     found = [one.population for one in fits if one.population is not None]
     assert found[0].minus2ll == pytest.approx(found[1].minus2ll, abs=1e-3)
+    assert found[0].bic == pytest.approx(found[1].bic, abs=1e-3)
     at = [gbspec.open_run(tmp_path / name).evaluate(tmp_path / f"{name}.csv") for name in ("replicates", "rows")]
     assert at[0].nllh == pytest.approx(at[1].nllh, abs=1e-3)

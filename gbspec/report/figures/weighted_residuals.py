@@ -32,7 +32,8 @@ def build(source: Source) -> Figure:
 
 def _row(name: str, unit: str, time: Axis, part: Mapping[str, Array], labels: tuple[str, ...]) -> Row:
     y, predicted = Axis("weighted residual"), Axis(f"{name}, predicted for the population", unit, margin=0.04)
-    sd = float(np.nanstd(part["cwres"])) if len(labels) else float("nan")
+    known = part["cwres"][np.isfinite(part["cwres"])]
+    sd = float(np.std(known)) if len(known) else float("nan")
     panels = [
         Panel(
             (Rule("y", 0.0), Rule("y", 1.96, dash="dotted"), Rule("y", -1.96, dash="dotted"),

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import Model
-from gbspec.training.population import Families, Measured, Rows, shape_parameter, standard_deviation
+from gbspec.training.population import Families, Measured, Rows, shape_parameter, single_variance
 
 LOG_2PI = float(np.log(2 * np.pi))
 
@@ -115,11 +115,11 @@ class Density:
                 continue
             learned = one.noise is not None and one.noise.value is not None
             if one.noise is None:
-                stated = torch.full_like(mean[rows], self.noise.get(one.name, float("nan")))
+                stated = torch.full_like(mean[rows], self.noise.get(one.name, float("nan")) ** 2)
             else:
                 table = constants[rows]
-                stated = standard_deviation(self.model, channel, mean[rows], {n: table[:, i] for n, i in names.items()})
-            given, average = own[rows], stated**2 / torch.from_numpy(measured.weight[rows.numpy()] ** 2)
+                stated = single_variance(self.model, channel, mean[rows], {n: table[:, i] for n, i in names.items()})
+            given, average = own[rows], stated / torch.from_numpy(measured.weight[rows.numpy()] ** 2)
             found = average + given if learned else torch.where(given > 0, given, average)
             out = out.index_add(0, rows, found)
         return out

@@ -8,7 +8,7 @@ from .jumps import values_of as values_of
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
 from .noise import shape_parameter as shape_parameter
-from .noise import standard_deviation as standard_deviation
+from .noise import single_variance as single_variance
 from .objective import Objective as Objective
 from .objective import Point as Point
 from .pooled import Pooled as Pooled

@@ -31,6 +31,8 @@ SINGLE = 256
 NODES = 64
 FARTHEST = 12.0
 """The sum ends so many standard deviations, and as many units, above the mean."""
+UNTOLD = 1e100
+"""The variance of what tells nothing."""
 ALIKE = 400
 """Beyond so many values of one size the information is interpolated between this many expectations."""
 
@@ -80,7 +82,7 @@ class Poisson(_Counts):
 
     def linearised(self, of: Rows, slopes: Array, of_shape: Array) -> Linearised:
         """The variance tells nothing beyond the mean."""
-        return Linearised(self.equivalent(of), np.zeros_like(slopes), np.zeros_like(slopes))
+        return Linearised(_told(of), np.zeros_like(slopes), np.zeros_like(slopes))
 
     def _probabilities(self, of: Rows) -> tuple[Array, Array]:
         from scipy.stats import poisson  # not at the top: every process of a fit would import it
@@ -107,7 +109,7 @@ class NegativeBinomial(_Counts):
         """The size has the further information I_kk; it is independent of the mean."""
         mean, size, number = of.mean.numpy(), of.shape.numpy(), of.number.numpy()
         own = number**2 * size_information(mean * number, size * number)
-        return Linearised(self.equivalent(of), np.zeros_like(slopes), np.sqrt(own)[:, None] * of_shape)
+        return Linearised(_told(of), np.zeros_like(slopes), np.sqrt(own)[:, None] * of_shape)
 
     def _probabilities(self, of: Rows) -> tuple[Array, Array]:
         from scipy.stats import nbinom  # not at the top: every process of a fit would import it
@@ -120,6 +122,12 @@ class NegativeBinomial(_Counts):
 def _sums(of: Rows) -> tuple[Tensor, Tensor]:
     """The sum of the counts that each value averages, and its expectation."""
     return torch.round(of.value * of.number), torch.clamp(of.mean, min=LEAST_COUNT) * of.number
+
+
+def _told(of: Rows) -> Array:
+    """The variance of the counts; where the model has none, and nothing moves its mean, one so large that they tell
+    nothing."""
+    return np.asarray(np.where(of.mean.numpy() > LEAST_COUNT, of.variance.numpy(), UNTOLD), dtype=np.float64)
 
 
 def _rising(y: Tensor, k: Tensor) -> Tensor:

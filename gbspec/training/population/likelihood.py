@@ -32,12 +32,14 @@ from gbspec.training.population.families import Families
 from gbspec.training.population.family import Rows
 from gbspec.training.population.groups import Groups
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.noise import LEAST, shape_parameter, standard_deviation
+from gbspec.training.population.noise import LEAST, shape_parameter, single_variance
 from gbspec.training.population.predictions import Predictions
 
 LOG_2PI = float(np.log(2 * np.pi))
 FARTHEST = 1e100
 """Predictions at the nodes of a quadrature are at most so large: steps may be too long for constants far out."""
+LEAST_POSITIVE = 1e-300
+"""Predictions have at least the logarithm of this number."""
 TOGETHER = 4096
 """Copies of trajectories are solved together up to so many: more would not be faster, and take more memory."""
 ITERATIONS = 60
@@ -134,9 +136,11 @@ class Likelihood:
         their trajectories are `slope` [N, q, width]."""
         by_z = self.groups.placed(torch.einsum("mq,mqz->mz", sensitivity, slope[self.owner]), self.owner)
         if bool(self.logs.any()):
-            safe = torch.clamp(mean, min=1e-300)
-            by_z = torch.where(self.logs[:, None], by_z / safe[:, None], by_z)
-            mean = torch.where(self.logs, torch.log(safe), mean)
+            # Predictions of 0 and less have the logarithm of the least one, which nothing moves.
+            gone = self.logs & (mean <= LEAST_POSITIVE)
+            safe = torch.where(self.logs & ~gone, mean, 1.0)
+            by_z = torch.where(gone[:, None], 0.0, by_z / safe[:, None])
+            mean = torch.where(self.logs, torch.log(torch.where(gone, LEAST_POSITIVE, safe)), mean)
         with torch.enable_grad():
             f = mean if mean.requires_grad else mean.detach().requires_grad_()
             variance = self.variance(f, natural)
@@ -169,9 +173,11 @@ class Likelihood:
         for channel, rows in enumerate(self.channels):
             if not len(rows):
                 continue
-            f = torch.where(self.logs[rows], torch.exp(mean[rows]), mean[rows])
+            logs = self.logs[rows]
+            # In both branches of `where` derivatives must be finite: 0 times an infinite one is not a number.
+            f = torch.where(logs, torch.exp(torch.where(logs, mean[rows], 0.0)), mean[rows])
             known = self._known(natural, rows)
-            out = out.index_add(0, rows, standard_deviation(model, channel, f, known) ** 2)
+            out = out.index_add(0, rows, single_variance(model, channel, f, known))
         return torch.clamp(out * self.share + self.extra + 0 * mean, min=LEAST)
 
     def joint(self, of: Compared, z: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.training.population.groups import alike
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.likelihood import Compared, Likelihood
+from gbspec.training.population.likelihood import LEAST_POSITIVE, Compared, Likelihood
 from gbspec.training.population.predictions import Predictions
 from gbspec.training.population.quadrature import Quadrature
 from gbspec.training.population.sweeps import by_constants
@@ -187,8 +187,10 @@ class Marginal:
         variance, noise, further = self._noise_information(u, of)
         logs = likelihood.logs.numpy()
         moved = sensitivity * by_deviation[measured.owner]
+        gone = logs & (found.mean <= LEAST_POSITIVE)
         for table in (mean, moved):
-            table[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
+            table[logs] /= np.where(gone, 1.0, found.mean)[logs, None]
+            table[gone] = 0.0
         spread = {
             p: likelihood.groups.placed(torch.from_numpy(moved @ factor), likelihood.owner).numpy()
             for p, factor in self._factor_slopes(torch.from_numpy(u)).items()
@@ -279,14 +281,17 @@ class _Linearised:
 
 
 def _information(owner: Integers, of: _Linearised, known: Integers) -> Array:
-    """The sum over the units `owner` [m] of the values `known` [k]."""
+    """The sum over the units `owner` [m] of the values `known` [k]; NaN where a covariance has no inverse."""
     noise = of.noise
     total, weights = np.zeros((of.mean.shape[1],) * 2), of.mean.shape[1] - noise.shape[1]
     places = sorted({*np.flatnonzero(np.abs(noise).any(axis=0)).tolist(), *of.spread})
     for rows in alike(owner, known):
         f = of.by_z[rows]
         diagonal = of.variance[rows][:, :, None] * np.eye(rows.shape[1])
-        inverse = np.linalg.inv(diagonal + f @ f.swapaxes(1, 2))
+        try:
+            inverse = np.linalg.inv(diagonal + f @ f.swapaxes(1, 2))
+        except np.linalg.LinAlgError:  # next to no noise: the caller sees that nothing is known
+            return np.full_like(total, np.nan)
         a, left = of.mean[rows], np.diagonal(inverse, axis1=1, axis2=2) * of.variance[rows]
         total += np.einsum("nap,nab,nbq->pq", a, inverse, a, optimize=True)
         more = (left[:, :, None] * of.further[rows]).reshape(rows.size, noise.shape[1])

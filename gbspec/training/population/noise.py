@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import reduce
+from operator import mul
 
 import sympy
 import torch
@@ -45,7 +47,7 @@ def evaluated(expression: Expr, values: Mapping[sympy.Symbol, Tensor], like: Ten
     if isinstance(expression, sympy.Add):
         return torch.stack(torch.broadcast_tensors(*parts)).sum(0)  # type: ignore[no-untyped-call]  # torch does not annotate it
     if isinstance(expression, sympy.Mul):
-        return torch.stack(torch.broadcast_tensors(*parts)).prod(0)  # type: ignore[no-untyped-call]  # torch does not annotate it
+        return reduce(mul, parts)  # derivatives of `Tensor.prod` divide by the factors, which may be next to 0
     if isinstance(expression, sympy.Pow):
         exponent = expression.args[1]
         return parts[0] ** float(exponent) if exponent.is_number else parts[0] ** parts[1]
@@ -72,11 +74,9 @@ def shape_parameter(model: Model, channel: int, constants: Mapping[sympy.Symbol,
     return evaluated(noise.shape, {**known, **constants}, like).expand_as(like)
 
 
-def standard_deviation(
-    model: Model, channel: int, prediction: Tensor, constants: Mapping[sympy.Symbol, Tensor]
-) -> Tensor:
-    """The standard deviation of measurements of a channel [m], of logarithms under lognormal noise; the scale of
-    Student's.
+def single_variance(model: Model, channel: int, prediction: Tensor, constants: Mapping[sympy.Symbol, Tensor]) -> Tensor:
+    """The variance of a single measurement of a channel [m], of its logarithm under lognormal noise; the square of the
+    scale of Student's.
 
     `prediction` [m] is in the channel's unit; `constants` has the values [m] of learnables and of what is implied.
     """
@@ -84,9 +84,11 @@ def standard_deviation(
     if noise is None:
         raise Defect("a channel without noise has no likelihood")
     if noise.value is None:
-        found = torch.full_like(prediction, noise.scale)
+        square = torch.full_like(prediction, noise.scale**2)
     else:
         known = {c.symbol: prediction.new_tensor(c.value) for c in model.constants}
-        found = evaluated(noise.value, {**known, **constants, PREDICTION: prediction}, prediction)
-        found = found.expand_as(prediction)
-    return torch.sqrt(torch.log1p(found**2)) if noise.kind == "lognormal" else found
+        # The square of the expression, not that of its value: where it is a root, as of counts, the root has no
+        # derivative at 0, and its square has one.
+        found = evaluated(noise.value**2, {**known, **constants, PREDICTION: prediction}, prediction)
+        square = torch.where(found < 0, torch.nan, found).expand_as(prediction)  # of the root of a negative number
+    return torch.log1p(square) if noise.kind == "lognormal" else square

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.runs import NORMAL_90, Covariance
 from gbspec.training.optimise import tied_at_bounds
 from gbspec.training.population.discrepancies import prediction_errors
@@ -79,11 +79,14 @@ class PopulationResult:
     loosened: dict[str, float]
 
 
-def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: float) -> PopulationResult:
-    """Everything at a point, whose modes are found from `z`."""
+def result_at(
+    objective: Objective, weights: Array, u: Array, z: Array, ridge: float, maximum: bool = True
+) -> PopulationResult:
+    """Everything at a point, whose modes are found from `z`. Where that is no `maximum`, standard deviations, which are
+    those of estimates at one, are not known."""
     point = objective.at(weights, u, z, ridge, afresh=True)
     layout, likelihood = objective.layout, objective.marginal.likelihood
-    covariance, estimates, tied = _with_bounds_held(objective, point, ridge)
+    covariance, estimates, tied = _with_bounds_held(objective, point, ridge) if maximum else _unknown(layout, point)
     natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.trajectories, -1))
     modes = torch.from_numpy(point.z)
     of = likelihood.at(natural, modes, weights)
@@ -94,27 +97,36 @@ def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: f
         own = torch.einsum("nij,nj->ni", factor, numbers[:, : layout.effects])
         deviations = torch.cat([own, numbers[:, layout.effects :]], 1).numpy()
         correlation = (factor[0] @ factor[0].T).numpy() if layout.effects else np.zeros((0, 0))
-    posterior = likelihood.groups.of_trajectories(np.linalg.inv(likelihood.expected_hessian(of).numpy()))
-    count = len(weights)
-    given = np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy())
-    spread = np.sqrt(given + of_parameters(objective, point, weights, covariance[count:, count:]))
+    count, individual = len(weights), constants.numpy()[:, layout.place]
+    spread = np.full_like(individual, np.nan)
+    if maximum:
+        posterior = likelihood.groups.of_trajectories(np.linalg.inv(likelihood.expected_hessian(of).numpy()))
+        given = np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy())
+        spread = np.sqrt(given + of_parameters(objective, point, weights, covariance[count:, count:]))
     used = effective_weights(covariance[:count, :count], ridge)
     return PopulationResult(
         point,
         ridge,
         estimates,
         correlation,
-        constants.numpy()[:, layout.place],
+        individual,
         spread,
         deviations,
         _shrinkage(likelihood.groups, deviations),
         np.sqrt(of.variance.numpy()),
         _table(objective, point, of),
         used + len(point.u),
-        objective.marginal.by_exact_hessian(point.u, weights, point.z),
-        of_shared(layout, point.u, covariance, ridge),
+        objective.marginal.by_exact_hessian(point.u, weights, point.z) if maximum else np.nan,
+        of_shared(layout, point.u, covariance, ridge) if maximum else None,
         tied,
     )
+
+
+def _unknown(layout: Layout, point: Point) -> tuple[Array, Estimates, dict[str, float]]:
+    """What `_with_bounds_held` returns, of a point that is no maximum."""
+    count = len(point.weights)
+    covariance = np.full((count + len(point.u),) * 2, np.nan)
+    return covariance, _estimates(layout, point.u, covariance[count:, count:]), {}
 
 
 def _with_bounds_held(objective: Objective, point: Point, ridge: float) -> tuple[Array, Estimates, dict[str, float]]:
@@ -209,6 +221,8 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
     known = np.flatnonzero(predictions.measured.side == 0)  # a limit has no residual
     for rows in alike(unit, known):
         f = by_z[rows]
+        if not (np.isfinite(variance[rows]).all() and np.isfinite(f).all()):
+            continue
         diagonal = variance[rows][:, :, None] * np.eye(rows.shape[1])
         values, vectors = np.linalg.eigh(diagonal + f @ f.swapaxes(1, 2))
         root = (vectors / np.sqrt(np.maximum(values, 1e-300))[:, None, :]) @ vectors.swapaxes(1, 2)
@@ -216,12 +230,17 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
         weighted[rows] = np.einsum("nij,nj->ni", root, shifted)
     logs = predictions.measured.logarithm
     return {
-        "value": np.where(logs, np.exp(predictions.measured.value), predictions.measured.value),
-        "individual": np.where(logs, np.exp(of.mean.numpy()), of.mean.numpy()),
+        "value": _natural(predictions.measured.value, logs),
+        "individual": _natural(of.mean.numpy(), logs),
         "population": population,
         "cwres": weighted,
         "iwres": np.where(predictions.measured.side == 0, own, np.nan),
     }
+
+
+def _natural(values: Array, logs: Mask) -> Array:
+    """Values [m] of which some are logarithms, all as they are measured."""
+    return np.where(logs, np.exp(np.where(logs, values, 0.0)), values)
 
 
 def simulated_tables(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
@@ -240,7 +259,7 @@ def predictive_check(measured: Measured, simulated: Array, times: Array) -> dict
     Rows are [channel, first time, middle, last time, measured quantiles, and for each of these the 5, 50 and 95 %
     quantile of the simulated ones]; simulated data sets have the trajectories, times and conditions of the data.
     """
-    value = np.where(measured.logarithm, np.exp(measured.value), measured.value)
+    value = _natural(measured.value, measured.logarithm)
     rows = []
     for channel in np.unique(measured.channel):
         here = np.flatnonzero((measured.channel == channel) & (measured.side == 0))

@@ -17,6 +17,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.population.likelihood import Likelihood
 from gbspec.training.population.objective import Objective, Point
+from gbspec.training.population.undefined import undefined
 from gbspec.training.problem import Bijection, Parameters
 
 Failure: TypeAlias = Callable[[Array], Exception]
@@ -172,19 +173,22 @@ class MarginalLikelihood:
         return state | {"falls": np.full(TIMES, np.inf), "quadrature": np.array(0.0)}
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """One damped step. Raises ComputationError where the model cannot be solved at the present vector."""
+        """One damped step. Raises ComputationError where the model cannot be solved at the present vector, or the
+        likelihood there or a derivative of it is not a finite number."""
         of_quadrature = bool(state.get("quadrature", 0.0))
         self.objective = self.whole if of_quadrature else self.whole.by_laplace()
         theta, ridge, damping = state["theta"], float(state["ridge"]), float(state["damping"])
         weights, u = theta[: self.parameters.n_weights], theta[self.layout.slice()]
         now = self.objective.at(weights, u, state["z"], ridge, afresh=iteration % OFTEN == 0)
         if not np.isfinite(now.objective):
-            raise self.failure(vector_of(self.parameters, self.likelihood, weights, u, 0 * state["z"]))
+            raise self._undefined(now, None, iteration)
         if self.parameters.n_weights and self.ridge is None:
             ridge = self.objective.evident_ridge(now, ridge)
             now = Point(weights, u, now.minus2ll + self._penalty(now, ridge), now.minus2ll, now.z)
         gradient = self.objective.gradient(now, ridge)
         curvature = self.objective.curvature(now, ridge)
+        if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+            raise self._undefined(now, gradient, iteration)
         new, promised, damping = self._trial(now, gradient, curvature, ridge, damping)
         fell = now.objective - new.objective
         falls = np.append(state["falls"][1:], fell)
@@ -200,6 +204,13 @@ class MarginalLikelihood:
         return Outcome(
             reached, new.objective / (2 * values), last, "", f"-2 log likelihood {new.minus2ll:.6g}{self.said}"
         )
+
+    def _undefined(self, point: Point, gradient: Array | None, iteration: int) -> Exception:
+        """The error to raise where the objective, or its derivatives, are no finite numbers."""
+        when = f"in iteration {iteration + 1}"
+        found = undefined(self.likelihood, point, gradient, when)
+        none = np.zeros_like(point.z)
+        return found or self.failure(vector_of(self.parameters, self.likelihood, point.weights, point.u, none))
 
     def _penalty(self, point: Point, ridge: float) -> float:
         """The part of the objective that is not the likelihood, with another ridge."""

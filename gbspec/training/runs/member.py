@@ -37,6 +37,7 @@ from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
 from gbspec.training.runs.disturbed import certainties, summarise
+from gbspec.training.runs.ended_early import LIKELIHOODS, NO_FITS, said_of_end
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_certainty
 from gbspec.training.runs.pace import seconds_left
@@ -56,9 +57,6 @@ SAVE_EVERY = 5.0
 """Seconds between saved states within a stage; one is also written at every stage's end and on interruption."""
 SAVING_SHARE = 0.05
 """The share of the time that saving may take where it is slow: the whole solution is computed each time."""
-
-NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AGAIN, StageName.WHOLE_STARTS})
-"""Stages that prepare a fit; alone they are no result."""
 
 MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.QUADRATURE})
 """Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
@@ -188,7 +186,9 @@ class _Runner:
                 position.state = stage.begin(position.theta)
             self.context.cutting = self.context.cutting or planned.name is StageName.CUT
             self._take_steps(stage, stop)
+            position.maximum |= planned.name in LIKELIHOODS
         except ComputationError as error:
+            position.maximum &= not position.iteration
             position.notes.append(self._after_failure(planned, error))
             if position.iteration == 0:
                 del position.stages[len(begun) :]
@@ -208,7 +208,7 @@ class _Runner:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
         position = self.position
         if set(position.marks) - NO_FITS:
-            return f"the stage `{planned.name}` ended early, and what was reached is kept: {error.what}"
+            return said_of_end(planned.name, error, position.maximum or not self.context.model.marginal)
         if not any(later.name is StageName.HORIZONS for later in self.plan[position.stage + 1 :]):
             raise error
         if position.iteration:  # what blew up on the way is no better a start than the one before
@@ -332,8 +332,8 @@ class _Runner:
         more: dict[str, object] = {}
         names, marginal, shared = [stage.name for stage in fitted], self.context.model.marginal, None
         if position.finished and marginal:
-            ridge = float(position.ridge)
-            result, found = with_population(result, self.context, self.parameters, position.best, names, ridge)
+            given = self.context, self.parameters, position.best, names, float(position.ridge), position.maximum
+            result, found = with_population(result, *given)
             result.population, result.objective = found.record, found.objective
             found.tables.write(self.directory)
             more, shared = {"population": found.info}, found.covariance
@@ -435,6 +435,7 @@ class _Runner:
             finished=position.finished,
             smooth=self.context.kind == "smooth",
             pieces=self.context.kind == "pieces",
+            maximum=position.maximum,
             stages=tuple(position.stages),
             notes=tuple(position.notes),
             exact=Exact(position.loss.hex(), position.best_score.hex(), position.certainty.freedom.hex()),

@@ -48,14 +48,21 @@ class Described:
 
 
 def with_population(
-    result: MemberResult, context: Context, parameters: Parameters, theta: Array, begun: Sequence[str], ridge: float
+    result: MemberResult,
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    begun: Sequence[str],
+    ridge: float,
+    maximum: bool,
 ) -> tuple[MemberResult, Described]:
     """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates.
-    `begun`: the names of the stages that led to `theta`."""
+    `begun`: the names of the stages that led to `theta`. Where that is no `maximum`, nothing is told of how well
+    constants are known, and nothing simulated."""
     objective = marginal_objective(context, parameters, begun)
     layout = objective.layout
     modes = modes_of(parameters, objective.marginal.likelihood, theta)
-    found = result_at(objective, theta[: parameters.n_weights], theta[layout.slice()], modes, ridge)
+    found = result_at(objective, theta[: parameters.n_weights], theta[layout.slice()], modes, ridge, maximum)
     known, own = found.estimates, [k.name for k in context.model.learnables if k.per_trajectory]
     constants, sd = dict(result.constants), dict(result.sd)
     for learnable in context.model.learnables:
@@ -66,7 +73,7 @@ def with_population(
         elif name in known.names:
             constants[learnable.name] = float(known.value[known.at(name)])
             sd[learnable.name] = float(known.sd[known.at(name)])
-    still = unmoved(context.model, constants, dict(result.sd) | sd, begun)
+    still = unmoved(context.model, constants, dict(result.sd) | sd, begun) if maximum else []
     found = replace(found, used=found.used - len(still))  # they are no parameters of the fit
     shared = [known.at(k.name) for k in context.model.learnables if not k.per_trajectory]
     order = [k.name for k in layout.distributed]
@@ -75,34 +82,47 @@ def with_population(
         result,
         constants=constants,
         sd=sd,
-        correlations=_correlations(known.covariance[np.ix_(shared, shared)]),
+        correlations=_correlations(known.covariance[np.ix_(shared, shared)]) if maximum else np.zeros((0, 0)),
         own=found.individual[:, pick],
         own_sd=found.individual_sd[:, pick],
         noise=_noise(context, found, objective),
     )
-    tied = {name: factor for name, factor in found.loosened.items() if factor > TIED and name in made_result.sd}
-    made_result.sd |= dict.fromkeys(tied, math.nan)
-    said = []
-    if _one_sum_of_squares(context.model):
-        said = without_tied(made_result, context, parameters, theta, begun, tied)
-    if not any(f"`{name}`" in text for text in said for name in tied):
-        ended = [name for name, one in found.loosened.items() if math.isnan(one)]
-        said = [*said_of_tied(tied, ended, HELPS), *said]
-    made_result.tied += said
-    made_result.tied += misjudged_of_population(made_result, objective, found)
-    tables = _tables(context, found, objective)
-    errors = _errors(context, tables)
-    made_result.vanished, infinite = _unbounded(context, found, tables)
-    spreads = [*_vanished(objective, found), *_doubtful(objective, found)]
-    made_result.left += [*infinite, *said_of_errors(errors, context.model)]
-    made_result.tied += spreads
+    tables, errors = _tables(context, found, objective, maximum), dict[str, ErrorsRecord]()
+    if maximum:
+        made_result.tied += _without_tied(made_result, context, parameters, theta, begun, found)
+        made_result.tied += misjudged_of_population(made_result, objective, found)
+        errors = _errors(context, tables)
+        made_result.vanished, infinite = _unbounded(context, found, tables)
+        spreads = [*_vanished(objective, found), *_doubtful(objective, found)]
+        made_result.left += [*infinite, *said_of_errors(errors, context.model)]
+        made_result.tied += spreads
     return made_result, Described(
-        replace(_record(context, found, objective), npde=errors),
+        replace(_record(context, found, objective, maximum), npde=errors),
         _objective(found, objective),
         tables,
         _info(objective, found),
         found.shared,
     )
+
+
+def _without_tied(
+    result: MemberResult,
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    begun: Sequence[str],
+    found: PopulationResult,
+) -> list[str]:
+    """Takes their intervals from constants that follow from another one's bound; what is to be said of them."""
+    tied = {name: factor for name, factor in found.loosened.items() if factor > TIED and name in result.sd}
+    result.sd |= dict.fromkeys(tied, math.nan)
+    said = []
+    if _one_sum_of_squares(context.model):
+        said = without_tied(result, context, parameters, theta, begun, tied)
+    if any(f"`{name}`" in text for text in said for name in tied):
+        return said
+    ended = [name for name, one in found.loosened.items() if math.isnan(one)]
+    return [*said_of_tied(tied, ended, HELPS), *said]
 
 
 def _one_sum_of_squares(model: Model) -> bool:
@@ -286,24 +306,26 @@ def _noise(context: Context, found: PopulationResult, objective: Objective) -> d
     return out
 
 
-def _record(context: Context, found: PopulationResult, objective: Objective) -> PopulationRecord:
+def _record(context: Context, found: PopulationResult, objective: Objective, maximum: bool) -> PopulationRecord:
     effects = _effects(objective, found)
     names = [learnable.name for learnable in objective.layout.distributed]
     correlations = {
         a: {b: float(found.correlation[i, j]) for j, b in enumerate(names) if j != i and found.correlation[i, j] != 0}
         for i, a in enumerate(names)
     }
-    values = len(objective.marginal.likelihood.value)
+    likelihood = objective.marginal.likelihood
+    values = len(likelihood.value) + float(likelihood.more.sum())  # replicates count as values of their own
     return PopulationRecord(
-        found.point.minus2ll,
+        finite(found.point.minus2ll),
         effects,
         {name: row for name, row in correlations.items() if row},
         found.used,
-        finite(found.point.minus2ll + 2 * found.used),
-        finite(found.point.minus2ll + found.used * float(np.log(max(values, 1)))),
+        finite(found.point.minus2ll + 2 * found.used) if maximum else None,
+        finite(found.point.minus2ll + found.used * float(np.log(max(values, 1)))) if maximum else None,
         objective.marginal.nodes,
         found.ridge if context.model.networks else None,
         exact_hessian=finite(found.exact),
+        maximum=maximum,
     )
 
 
@@ -350,7 +372,7 @@ def _objective(found: PopulationResult, objective: Objective) -> ObjectiveRecord
     return ObjectiveRecord(f"marginal likelihood: -2 log likelihood by {way}{more}", finite(found.point.objective))
 
 
-def _tables(context: Context, found: PopulationResult, objective: Objective) -> PopulationTables:
+def _tables(context: Context, found: PopulationResult, objective: Objective, simulated: bool) -> PopulationTables:
     problem, measured = objective.marginal.predictions.problem, objective.marginal.predictions.measured
     row, _ = np.nonzero(problem.seen)
     times = problem.packed.row_time[row]
@@ -361,5 +383,7 @@ def _tables(context: Context, found: PopulationResult, objective: Objective) -> 
         "time": times,
         "deviations": found.deviations,
     }
-    arrays |= simulated_tables(objective, found.point, times, context.seed)
+    arrays |= {"check": np.zeros((0, 16)), "npde": np.full(len(times), np.nan)}
+    if simulated:
+        arrays |= simulated_tables(objective, found.point, times, context.seed)
     return PopulationTables(arrays, tuple(problem.packed.labels))

@@ -26,7 +26,8 @@ class Position:
     holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
     belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
     number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
-    weighed, if they are; `ridge` and `damping` are those of the last stage that had any.
+    weighed, if they are; `ridge` and `damping` are those of the last stage that had any. `maximum`: whether a stage has
+    ended at a maximum of the likelihood, and none has left it since.
     """
 
     stage: int = 0
@@ -48,6 +49,7 @@ class Position:
     estimated: Estimated | None = None
     ridge: float = 0.0
     damping: float = 0.0
+    maximum: bool = False
 
 
 def checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
@@ -104,5 +106,6 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         finished=remarks.finished,
         ridge=float(arrays.get("ridge", np.array(0.0))),
         damping=float(arrays.get("damping", np.array(0.0))),
+        maximum=remarks.maximum,
         estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
     )

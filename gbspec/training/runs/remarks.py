@@ -22,6 +22,7 @@ class Remarks:
     """What a checkpoint holds beside its arrays; see `Position`. Losses and constants of the history are hexadecimal.
 
     `smooth`: whether the measured values were smoothed for the warm start, `pieces`: whether piece by piece.
+    `maximum` is that of a `Position`; checkpoints without it are of stages that went on.
     """
 
     stage: int
@@ -35,6 +36,7 @@ class Remarks:
     history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
     best_stages: int = 0
     pieces: bool = False
+    maximum: bool = True
 
     @property
     def curves(self) -> CurveKind:

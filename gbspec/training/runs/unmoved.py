@@ -51,6 +51,8 @@ def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -
     value was only searched for. `stages` are those that led to the result. Those that no data can show are left to the
     warnings of the model: nothing but another model helps."""
     jumping = only_in_jumps(model)
+    if result.population is not None and not result.population.maximum:  # of such a fit nothing is an estimate
+        return []
     still, out = unmoved(model, result.constants, result.sd, stages), []
     if result.loss <= EXACT or len(still) == len(model.learnables) > 1:  # begun at the truth, or not begun at all
         return []
