@@ -50,7 +50,7 @@ class Evaluation(Tabled):
 
     @property
     def gradient(self) -> Mapping[str, float]:
-        """The derivatives of `nllh` by the learnable constants, in their units."""
+        """The derivatives of `nllh` by the learnable constants, in their units; NaN where they are not known."""
         return self.found.gradient
 
     @property
@@ -72,7 +72,7 @@ class Evaluation(Tabled):
             "model": self.model,
             "nllh": self.nllh,
             "chi2": self.chi2,
-            "gradient": dict(self.gradient),
+            "gradient": {name: slope if np.isfinite(slope) else None for name, slope in self.gradient.items()},
             "simulation": [asdict(one) for one in self.found.simulation],
             "accuracy": self.accuracy if np.isfinite(self.accuracy) else None,
             "solver": self.found.solver,
@@ -81,7 +81,8 @@ class Evaluation(Tabled):
     def __str__(self) -> str:
         count = len(self.found.simulation)
         lines = [f"{self.model}: negative log likelihood {self.nllh:.9g}, chi2 {self.chi2:.9g}, {count:,} values"]
-        lines += [f"  d nllh/d {name} = {slope:.6g}" for name, slope in self.gradient.items()]
+        for name, slope in self.gradient.items():
+            lines.append(f"  d nllh/d {name} " + ("is not known" if np.isnan(slope) else f"= {slope:.6g}"))
         return "\n".join([*lines, *([self.remark] if self.remark else [])])
 
 
@@ -220,7 +221,24 @@ def _evaluated(
         message = f"the likelihood is known to {found.accuracy:.2g} of its size only, by the error of the integration"
         help = "does the right-hand side jump? An input or a dose is exact where a condition on time is not"
         findings.warning("GB889", message, None, help=help)
+    if found.lacking.names:
+        _say_lacking(model, found, findings)
     return Evaluation(model.name, found, tuple(findings))
+
+
+def _say_lacking(model: Model, found: Evaluated, findings: Findings) -> None:
+    """A warning of derivatives that are not known (GB893)."""
+    names = ", ".join(f"`{name}`" for name in found.gradient if name in found.lacking.names)
+    message = (
+        f"derivatives of the likelihood by {names} are not known: right-hand sides may jump at a place that moves with "
+        f"the solution or with what is learned, and steps do not end there: {found.lacking.reason}"
+    )
+    help = "differences of `nllh`, at values so far apart that its error does not matter, tell its slopes"
+    if model.distributed:
+        help = "nor is the value right where solutions jump: Laplace's method takes derivatives. Let it change smoothly"
+    elif model.diffusions:
+        help = "nor does the filter's variance know of jumps. Let it change smoothly"
+    findings.warning("GB893", message, None, help=help)
 
 
 def known(model: Model, values: Mapping[str, float]) -> Model:

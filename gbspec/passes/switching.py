@@ -19,7 +19,8 @@ from gbspec.ir import Event, Expr, Model, Switch, in_language, ordered, symbol
 
 MOST = 16
 """With more switches steps are not cut: each costs two more conditions in every sub-step."""
-_KINDS = (sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Piecewise)
+_ROUNDED = (sympy.floor, sympy.ceiling)
+_KINDS = (sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Piecewise, *_ROUNDED)
 _ABOVE = (sympy.StrictGreaterThan, sympy.GreaterThan)
 _BELOW = (sympy.StrictLessThan, sympy.LessThan)
 
@@ -27,11 +28,16 @@ _BELOW = (sympy.StrictLessThan, sympy.LessThan)
 @dataclass(frozen=True)
 class Switched:
     """A Model whose steps end where its right-hand sides switch, None where that is not offered or there is nothing to
-    cut at; then `reason` says why, and is empty if nothing switches. `skipped`: switches at which no step ends."""
+    cut at; then `reason` says why, and is empty if nothing switches. `skipped`: switches at which no step ends.
+
+    `jumps`: whether a right-hand side may jump at one of all these, not only have a kink. What moves the time of a jump
+    moves the solution, which derivatives know only where steps end there.
+    """
 
     model: Model | None
     reason: str = ""
     skipped: tuple[str, ...] = ()
+    jumps: bool = False
 
 
 def with_switches(model: Model) -> Switched:
@@ -42,13 +48,13 @@ def with_switches(model: Model) -> Switched:
     rewriting = _Rewriting(model)
     balances = rewriting.balances()
     if not rewriting.switches:
-        return Switched(None, "", tuple(rewriting.skipped))
+        return Switched(None, "", tuple(rewriting.skipped), rewriting.jumps)
     reason = _refused(model, len(rewriting.switches))
     if reason:
-        return Switched(None, reason)
+        return Switched(None, reason, (), rewriting.jumps)
     events = (*model.events, *(event for each in rewriting.switches for event in _events(each)))
     cut = replace(model, balances=balances, events=events, switches=tuple(rewriting.switches), claims=())
-    return Switched(cut, "", tuple(rewriting.skipped))
+    return Switched(cut, "", tuple(rewriting.skipped), rewriting.jumps)
 
 
 def _events(switch: Switch) -> tuple[Event, Event]:
@@ -63,7 +69,6 @@ def _refused(model: Model, count: int) -> str:
         "delays": model.delays,
         "algebraic variables": model.algebraics,
         "random disturbances": model.diffusions,
-        "a population, or learned noise": model.marginal,
         "arrays of states": model.arrays,
         "a steady start": model.steady is not None,
     }
@@ -80,6 +85,7 @@ class _Rewriting:
     model: Model
     switches: list[Switch] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
+    jumps: bool = False
     _known: dict[sympy.Basic, sympy.Basic] = field(default_factory=dict)
     _sides: dict[Expr, sympy.Symbol] = field(default_factory=dict)
 
@@ -114,13 +120,16 @@ class _Rewriting:
             return self._extreme(node.func, parts, held)
         if isinstance(node, sympy.Abs) and (side := self._side(parts[0], held[0])) is not None:
             return _choice(held[0], side > 0, -held[0])
-        if isinstance(node, sympy.sign) and (side := self._side(parts[0], held[0])) is not None:
+        if isinstance(node, sympy.sign) and (side := self._side(parts[0], held[0], jumps=True)) is not None:
             return _choice(1, side > 0, _choice(-1, side < 0, 0))
         if isinstance(node, _ABOVE + _BELOW):
             turn = 1 if isinstance(node, _ABOVE) else -1
-            if (side := self._side(turn * (parts[0] - parts[1]), turn * (held[0] - held[1]))) is not None:
+            if (side := self._side(turn * (parts[0] - parts[1]), turn * (held[0] - held[1]), jumps=True)) is not None:
                 strict = isinstance(node, sympy.StrictGreaterThan | sympy.StrictLessThan)
                 return (sympy.StrictGreaterThan if strict else sympy.GreaterThan)(side, 0, evaluate=False)
+        if isinstance(node, _ROUNDED) and self._moves(self.model.inlined([parts[0]])[0]):
+            self._skip(f"`{in_language(node)}` jumps")
+            self.jumps = True
         return node if tuple(held) == node.args else node.func(*held)
 
     def _extreme(
@@ -136,18 +145,25 @@ class _Rewriting:
                 found = _choice(*((found, side > 0, other) if function is sympy.Max else (other, side > 0, found)))
         return found
 
-    def _side(self, guard: Expr, held: Expr) -> Expr | None:
-        """What is positive on one side of the switch where `guard` passes zero (`held`: as it is where other switches
-        are held); None where no step is cut at it."""
-        inlined = self.model.inlined([guard])[0]
+    def _moves(self, inlined: Expr) -> bool:
+        """Whether the place where a quantity passes zero changes with states or with what is learned."""
         free = inlined.free_symbols
-        if not free & self._moving and not (self.model.time.symbol in free and free & self._learned):
+        return bool(free & self._moving or (self.model.time.symbol in free and free & self._learned))
+
+    def _skip(self, said: str) -> None:
+        self.skipped += [said] * (said not in self.skipped)
+
+    def _side(self, guard: Expr, held: Expr, *, jumps: bool = False) -> Expr | None:
+        """What is positive on one side of the switch where `guard` passes zero (`held`: as it is where other switches
+        are held), at which the value `jumps` or has a kink; None where no step is cut at it."""
+        inlined = self.model.inlined([guard])[0]
+        if not self._moves(inlined):
             return None
-        unknown, jumps = inlined.atoms(AppliedUndef), inlined.has(sympy.floor)
-        if unknown or jumps:
+        self.jumps = self.jumps or jumps
+        unknown = inlined.atoms(AppliedUndef)
+        if unknown or inlined.has(*_ROUNDED):
             reason = "an unknown function decides" if unknown else "`floor`, `ceil` or `mod` decides"
-            said = f"{reason} in `{in_language(guard)}`"
-            self.skipped += [said] * (said not in self.skipped)
+            self._skip(f"{reason} in `{in_language(guard)}`")
             return None
         if -guard in self._sides:
             return held - self._sides[-guard]

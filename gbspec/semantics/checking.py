@@ -115,7 +115,7 @@ def _check(
         return None
     observed = usage.observed_names(items)
     usage.unused(places_of, merged.in_indices | observed | populations.columns(items), names, findings)
-    usage.only_compared(places_of, observed, names, findings, populations.without_cuts(items, names))
+    usage.only_compared(places_of, observed, names, findings, populations.without_cuts(items))
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
     subject = doubts.Subject(items, names, values, order, numbers, places_of)
     doubts.check(subject, findings)

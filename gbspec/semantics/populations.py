@@ -38,22 +38,10 @@ def columns(items: Iterable[Item]) -> set[str]:
     return found - GROUPS
 
 
-def without_cuts(items: Iterable[Item], table: Table) -> str:
-    """Why steps of fits do not end where values jump at times that depend on what is learned: `likelihood`, with
-    distributions, learned noises or noises with a density of their own; `disturbances`; empty: they end there."""
-    found = ""
-    for statement in (item.statement for item in items):
-        if isinstance(statement, ast.DiffusionStatement):
-            return "disturbances"
-        if isinstance(statement, ast.LearnStatement):
-            found = "likelihood" if statement.per is not None and statement.per.spread is not None else found
-        elif isinstance(statement, ast.EffectStatement):
-            found = "likelihood"
-        elif isinstance(statement, ast.ObserveStatement) and statement.noise is not None:
-            names = {n.text for a in statement.noise.arguments for n in walk(a) if isinstance(n, ast.Name)}
-            learned = any(name in table and table[name].kind is Kind.LEARN for name in names)
-            found = "likelihood" if learned or statement.noise.kind.text in WITH_DENSITY else found
-    return found
+def without_cuts(items: Iterable[Item]) -> str:
+    """Why steps of fits do not end where values jump at times that depend on what is learned: `disturbances`; empty:
+    they end there."""
+    return "disturbances" if any(isinstance(item.statement, ast.DiffusionStatement) for item in items) else ""
 
 
 class _Checks:

@@ -59,11 +59,9 @@ def observed_names(items: Iterable[Item]) -> set[str]:
 
 
 _LEARNED: Mapping[str, str] = {
-    "": "training learns it where a state, or the time, passes it, since steps end there then; a lag of doses is "
-    "written `dose … lag {0}`; else let it enter smoothly",
-    "likelihood": "the likelihood of distributions and learned noises has no derivative by it: training only tries "
-    "values of it (not beside unknown functions), and gives no interval. If it is a lag, write `dose … lag {0}`, which "
-    "has one; else let it enter smoothly",
+    "": "training learns it where a state, or the time, passes it, since steps end there then (not in models with "
+    "delays, arrays, a search for algebraic variables or a steady start); a lag of doses is written `dose … lag {0}`; "
+    "else let it enter smoothly",
     "disturbances": "beside `diffusion` the likelihood has no derivative by it, so that it stays at its start: let it "
     "enter smoothly",
 }

@@ -121,3 +121,42 @@ def test_what_cannot_be_evaluated_is_said(here: Path, gbspec: Run, text: str, co
     result = gbspec("evaluate", "m.gb", "d.csv")
     assert result.exit_code == 1
     assert code in result.stderr
+
+
+JUMP = """\
+model jump
+learn k = 0.7 in [0.05, 5]
+learn a = 1.8 in [0.3, 5]
+learn tau = 1.3 in [0.3, 5]
+state x in [0, 10]
+x' = if(t < tau, 0.5, 1) - k*if(x > a, 1, 2)*x
+initial x = 3
+observe x noise normal(0.05)
+"""
+FALL = "t,x\n0.2,2.75\n0.5,2.32\n0.8,1.9\n1.1,1.5\n1.6,1.1\n2.4,0.9\n"
+
+
+@pytest.mark.parametrize("place", ["k", "a", "tau"])
+def test_the_gradient_knows_how_the_times_of_jumps_move(here: Path, place: str) -> None:
+    """Also by constants that occur in comparisons alone."""
+    (here / "jump.gb").write_text(JUMP)
+    (here / "data.csv").write_text(FALL)
+    at = {"k": 0.7, "a": 1.8, "tau": 1.3}
+    model, data = package.load("jump.gb"), "data.csv"
+    near = [model.evaluate(data, values={**at, place: at[place] + step}).nllh for step in (1e-4, -1e-4)]
+    slope = model.evaluate(data, values=at).gradient[place]
+    assert abs(slope) > 1 and slope == pytest.approx((near[0] - near[1]) / 2e-4, rel=1e-4)
+
+
+def test_derivatives_that_are_not_known_are_not_given(here: Path, gbspec: Run, document: Run) -> None:
+    """With delays steps do not end at jumps."""
+    late = JUMP.replace("*x\n", "*x + 0.01*delay(x, 0.5)\nhistory x = 3\nlearn c = 1 in [0.5, 2]\n")
+    late = late.replace("observe x", "observe y = c*x")
+    (here / "jump.gb").write_text(late)
+    (here / "data.csv").write_text(FALL.replace("x", "y"))
+    gradient = document("evaluate", "jump.gb", "data.csv")["gradient"]
+    assert [gradient[name] for name in ("k", "a", "tau")] == [None, None, None]
+    assert isinstance(gradient["c"], float)
+    said = gbspec("evaluate", "jump.gb", "data.csv")
+    assert "GB893" in said.stderr and "the model has delays" in said.stderr
+    assert "d nllh/d k is not known" in said.stdout

@@ -110,7 +110,7 @@ def test_what_training_makes_of_a_learned_time_depends_on_the_fit() -> None:
     text = "model m\ntime t\nstate x\nlearn lag = 1\nlearn k = 1{}\nx' = -k*if(t > lag, x, 0)\nobserve x\n"
     for more, said in (
         ("", "steps end there"),
-        (" > 0 per trajectory ~ lognormal", "write `dose … lag lag`"),
+        (" > 0 per trajectory ~ lognormal", "steps end there"),
         ("\ndiffusion x = k", "it stays at its start"),
     ):
         (found,) = [d for d in checked(text.format(more))[1] if d.code == "GB404"]

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from gbspec.data import Trajectories, Trajectory
+from gbspec.passes import with_switches
 from gbspec.runs import last_search
 from gbspec.training import TrainOptions, train
 from gbspec.training.population.jumps import SPREAD, TimesOfJumps, _Tried, values_of
 from gbspec.training.population.layout import Layout
-from gbspec.training.recipe import only_in_jumps
+from gbspec.training.recipe import Context, only_in_jumps
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.stages import StageName
@@ -58,7 +59,7 @@ def measured(count: int) -> Trajectories:
 
 @pytest.mark.parametrize("bounds", ["[0, 2]", "[0.001, 1000]"])
 def test_a_likelihood_searches_for_the_time_of_a_jump(tmp_path: Path, bounds: str) -> None:
-    options = replace(FAST, stages="search; marginal likelihood; times of jumps")
+    options = replace(FAST, stages="search; marginal likelihood; times of jumps", switches="off")
     run = train(model_of(LATE.replace("[0, 2]", bounds)), measured(2), options, tmp_path / "run")
     record, population = run.fit.constants["lag"], run.fit.population
     assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is None
@@ -71,8 +72,18 @@ def test_a_likelihood_searches_for_the_time_of_a_jump(tmp_path: Path, bounds: st
     assert "no interval" in said and "the best of the values that were tried" in said and "`dose … lag lag`" in said
 
 
+def test_a_likelihood_learns_the_time_of_a_jump_where_steps_end_there(tmp_path: Path) -> None:
+    run = train(model_of(LATE), measured(2), FAST, tmp_path / "run")
+    record, population = run.fit.constants["lag"], run.fit.population
+    assert record.value == pytest.approx(LAG, abs=0.05) and record.interval is not None
+    assert record.interval[0] < LAG < record.interval[1]
+    assert population is not None and population.minus2ll < -138, "below the lowest value that steps across find"
+    assert population.parameters == 5
+    assert not any("`lag`" in text for text in run.fit.warnings)
+
+
 def test_a_constant_that_no_step_moves_is_no_parameter(tmp_path: Path) -> None:
-    options = replace(FAST, stages="marginal likelihood")
+    options = replace(FAST, stages="marginal likelihood", switches="off")
     run = train(model_of(LATE), measured(2), options, tmp_path / "run")
     population = run.fit.population
     assert run.fit.constants["lag"].value == pytest.approx(0.4, rel=1e-9)
@@ -114,8 +125,12 @@ def test_values_are_said_to_be_tried_where_they_were(stages: list[str], tried: b
     found = {"k": 0.8, "x0": 2.1, "lag": LAG}
     known = {"k": 0.1, "x0": 0.1, "lag": math.nan}
     result = MemberResult(0, 0.1, 0.1, {}, {}, {}, found, known, 1.0, [], np.zeros((1, 1)), ["0"])
-    (said,) = without_unmoved(result, model_of(ALONE), stages)
+    model = model_of(ALONE)
+    (said,) = without_unmoved(result, cast(Context, SimpleNamespace(model=model, solved=model)), stages)
     assert "`lag` has no interval" in said and ("values that were tried" in said) == tried
+    cut = SimpleNamespace(model=model, solved=with_switches(model).model)
+    (said,) = without_unmoved(result, cast(Context, cut), stages)
+    assert "the data do not show that place" in said and "no derivative" not in said
 
 
 def test_a_fit_with_disturbances_says_that_a_constant_stayed(tmp_path: Path) -> None:

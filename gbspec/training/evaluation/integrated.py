@@ -20,7 +20,8 @@ from gbspec.backends import GeneratedModule, load_module
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import STIFF, Model, linear_in_states
-from gbspec.training.engines import FilterEngine
+from gbspec.training.engines import FilterEngine, happened
+from gbspec.training.evaluation.lacking import Lacking
 from gbspec.training.evaluation.point import ACCURACY, Evaluated, Given, Value, change, ordered
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import Layout
@@ -48,7 +49,7 @@ def evaluate_integral(model: Model, trajectories: Trajectories, given: Given) ->
             where=f"the model {model.name}",
             remedy="other constants by `--set`, or `gbspec simulate`, which says where a solution ends",
         )
-    return best
+    return replace(best, gradient=best.lacking.without(best.gradient))
 
 
 def _settled(
@@ -114,7 +115,14 @@ def _marginal(context: Context, parameters: Parameters, given: Given, halvings: 
     medians = {k.distribution.median: k.name for k in model.distributed if k.distribution is not None}
     gradient = {medians.get(k.name, k.name): float(g) for k, g in zip(layout.each, slopes, strict=True)}
     chi2 = float(np.sum(residual**2))
-    return Evaluated(value.total / 2, chi2, gradient, values, np.inf, f"{context.module.solver}, Laplace's method")
+    individuals = marginal.predictions.individuals
+    constants, _ = marginal.likelihood.individual(layout.natural(marginal.rows(u)), torch.from_numpy(value.z))
+    events = happened(individuals.engine, individuals.vector(constants.detach().numpy(), weights))
+    slides = context.cutting and events is not None and bool(events.uncut.any())
+    lacking = Lacking.of(model, context.switched, slides)
+    return Evaluated(
+        value.total / 2, chi2, gradient, values, np.inf, f"{context.module.solver}, Laplace's method", lacking
+    )
 
 
 def _limited(residual: Array, side: Array) -> Array:
@@ -146,7 +154,8 @@ def _filtered(context: Context, parameters: Parameters, given: Given, halvings: 
     nllh = found.value + float(measured[logs].sum())
     gradient = _shared_slopes(parameters, theta, slopes)
     exact = 0.0 if engine.exact is not None else np.inf
-    return Evaluated(nllh, float(np.sum(residual**2)), gradient, values, exact, "the filter of disturbances")
+    lacking = Lacking.of(context.model, context.switched, slides=False)
+    return Evaluated(nllh, float(np.sum(residual**2)), gradient, values, exact, "the filter of disturbances", lacking)
 
 
 def _shared_slopes(parameters: Parameters, theta: Array, slopes: Array) -> dict[str, float]:

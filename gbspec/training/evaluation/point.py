@@ -3,7 +3,8 @@
 Solutions run from the starts of the trajectories to their ends; measurements reset nothing. Steps are adaptive, first
 by a method of order 5, and by a stiff one if that finds no solution. The tolerance falls by a factor of ten until
 the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes. With delays steps
-are equal, and halved: the control of adaptive steps does not see the past.
+are equal, and halved: the control of adaptive steps does not see the past. Steps end where right-hand sides switch, so
+that derivatives know how the times of that move.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from gbspec.backends import load_module
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import DOPRI5, STIFF, Method, Model
-from gbspec.training.engines import choose
+from gbspec.passes import with_switches
+from gbspec.training.engines import choose, happened
 from gbspec.training.evaluation.density import Density
+from gbspec.training.evaluation.lacking import Lacking
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import Individuals, Measured
 from gbspec.training.problem import Control, Integers, Problem, pack, scaling_of, teacher_forcing
@@ -68,7 +71,7 @@ class Value:
 @dataclass(frozen=True)
 class Evaluated:
     """The objective at a point; `accuracy` is its last relative change by a tenth of the tolerance, `solver` the
-    method of the steps."""
+    method of the steps. Derivatives that are `lacking` are NaN in the gradient."""
 
     nllh: float
     chi2: float
@@ -76,18 +79,23 @@ class Evaluated:
     simulation: tuple[Value, ...]
     accuracy: float
     solver: str
+    lacking: Lacking = field(default_factory=Lacking)
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """Predictions [m] and their derivatives [m, K] by the constants of their own trajectory."""
+    """Predictions [m] and their derivatives [m, K] by the constants of their own trajectory; `slides`: whether steps go
+    across a switch of right-hand sides."""
 
     mean: Array
     by_constants: Array
+    slides: bool
 
 
 def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluated:
     """The objective at a point. Raises ComputationError if there is no solution from the starts there."""
+    switched = with_switches(model)
+    model = model if switched.model is None else switched.model
     reached: Evaluated | None = None
     for method in (DOPRI5,) if _equal_steps(model) else (DOPRI5, STIFF):
         previous: Evaluated | None = None
@@ -98,10 +106,11 @@ def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluate
                     continue
                 break
             found = _judged(model, problem, trial, given, method, previous)
+            found = replace(found, lacking=Lacking.of(model, switched, trial.slides))
             if reached is None or found.accuracy <= reached.accuracy:
                 reached = found
             if found.accuracy <= ACCURACY:
-                return found
+                return replace(found, gradient=found.lacking.without(found.gradient))
             previous = found
     if reached is None:
         raise ComputationError(
@@ -109,7 +118,7 @@ def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluate
             where=f"the model {model.name}",
             remedy="other constants by `--set`, or `gbspec simulate`, which says where the solution ends",
         )
-    return reached
+    return replace(reached, gradient=reached.lacking.without(reached.gradient))
 
 
 def _equal_steps(model: Model) -> bool:
@@ -144,7 +153,9 @@ def _trials(model: Model, trajectories: Trajectories, given: Given, method: Meth
         moments = individuals.engine.moments(theta, individuals.engine.plan(theta))
         with np.errstate(all="ignore"):
             found = individuals.first(given.constants, weights)
-        yield problem, _Trial(found.mean, found.constants)
+        events = happened(individuals.engine, theta) if model.switches else None
+        slides = events is not None and bool(events.uncut.any())
+        yield problem, _Trial(found.mean, found.constants, slides)
         scale = _sizes(moments.before, moments.initial, scale)
 
 

@@ -1,8 +1,9 @@
-"""The search for constants by which the likelihood has no derivative, since they occur only where values jump.
+"""The search for constants that occur only where values jump.
 
-The time of a jump (`if(t > lag, 1, 0)`) enters no value, so that no damped step moves it. Each such constant is tried
+The time of a jump (`if(t > lag, 1, 0)`) enters no value: the likelihood has no derivative by it, and no damped step
+moves it, unless steps of the solver end at jumps, and then only where a solution passes it. Each such constant is tried
 at values spread over its range, on the scale of this range, and then at ever smaller distances from the best one, until
-the objective settles; at each value everything else is improved by a few steps.
+the objective settles; at each value everything is improved by a few steps.
 """
 
 from __future__ import annotations
@@ -84,11 +85,12 @@ class TimesOfJumps:
             tried = _Tried(self._scaled(place, before[:, 0]), before[:, 1])
             value = self._value(place, tried.next(self._ends(place, float(before[0, 0])), spread))
         else:
-            value = float(self.layout.natural(torch.from_numpy(state["theta"][self.layout.slice()]))[place])
+            value = self._present(state, place)
         moved = self._improved(self._with(state, place, value) if count else state, strict=not count)
         least, loss = float(state["least"]), np.inf if moved is None else moved.loss
         better = moved is not None and loss < least
         kept = moved.state if moved is not None and better else state
+        value = value if moved is None else self._present(moved.state, place)  # steps may have moved it
         after = np.vstack([before, [value, loss]])
         best = float(after[int(np.argmin(after[:, 1])), 0])
         said = f"`{self.layout.each[place].name}` {best:.5g} is the best of {len(after)} values"
@@ -98,6 +100,10 @@ class TimesOfJumps:
         going = {"tried": after[:0], "turn": np.array(turn + 1)} if ended and not last else {"tried": after}
         reached = {**kept, "least": np.array(min(loss, least)), "turn": np.array(turn), **going}
         return Outcome(reached, min(loss, least), last, "", said)
+
+    def _present(self, state: State, place: int) -> float:
+        """The value of a constant."""
+        return float(self.layout.natural(torch.from_numpy(state["theta"][self.layout.slice()]))[place])
 
     def _loss_of(self, rise: float) -> float:
         """A difference of -2 log likelihood as one of the objective."""

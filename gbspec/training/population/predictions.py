@@ -3,7 +3,8 @@
 Everything downstream needs predictions f and sensitivities S = df/dk as functions of the trajectories' constants (and
 of the networks' weights) that can be differentiated once. Without networks both come from the engine of the larger
 model (`sensitivity`): its Jacobian has the derivatives of f and S with respect to all constants. With networks they
-come from the torch graph, in which S is a forward derivative, with one copy of each trajectory for each k.
+come from the torch graph, in which S is a forward derivative, with one copy of each trajectory for each k. Where steps
+end at switches of right-hand sides S jumps, and comes from the Jacobian of the model itself (`differenced`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.backends import load_module
 from gbspec.ir import METHODS, Model, Range, logarithmic, symbol
 from gbspec.training.engines import Choice, Engine, TorchEngine
+from gbspec.training.population.differenced import Differenced
 from gbspec.training.population.sensitivity import Extended, extended, repacked, widened
 from gbspec.training.population.sweeps import Sweeps, covered
 from gbspec.training.problem import STRETCH, Integers, Parameters, Path, Problem, Scaling, teacher_forcing
@@ -219,8 +221,7 @@ class Predictions:
         if isinstance(self.second, _Sensitivities):
             return self.second.plain(constants, weights)
         found = self.individuals.first(constants, weights)
-        names = [k.name for k in self.problem.model.learnables]
-        return found.mean, found.constants[:, [names.index(name) for name in self.distributed]]
+        return found.mean, found.constants[:, self._places]
 
     @cached_property
     def holdable(self) -> bool:
@@ -244,10 +245,28 @@ class Predictions:
         """The predictions with second derivatives."""
         if not self.distributed:
             return _Linear(self)
+        if self.problem.model.switches:
+            return self._differenced()
         made = extended(self.problem.model, self.distributed)
         if made is None:
             return self._swept()
         return _Sensitivities(self, _Wider(self, made, self.choice))
+
+    def _differenced(self) -> Second:
+        """Where steps end at switches of right-hand sides, where sensitivities jump."""
+        individuals = self.individuals
+
+        def jacobian(constants: Array, weights: Array) -> tuple[Array, Array, Array]:
+            found = individuals.first(constants, weights, of_weights=True)
+            return found.mean, found.constants, found.weights
+
+        return Differenced(jacobian, np.array(self._places), self.measured.owner, individuals.unit / STRETCH)
+
+    @property
+    def _places(self) -> list[int]:
+        """The places of the distributed constants among all learnables [q]."""
+        names = [k.name for k in self.problem.model.learnables]
+        return [names.index(name) for name in self.distributed]
 
     def _swept(self) -> Second:
         """With networks: by sweeps of casadi, or by torch where these do not cover the problem."""

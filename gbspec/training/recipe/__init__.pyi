@@ -1,5 +1,6 @@
 from .context import Context as Context
 from .context import build_context as build_context
+from .cutting import of_solutions as of_solutions
 from .cutting import only_in_jumps as only_in_jumps
 from .cutting import said_of_switches as said_of_switches
 from .disturbed import check_disturbed as check_disturbed

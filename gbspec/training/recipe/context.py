@@ -87,9 +87,9 @@ class Context:
 
     def steps(self, fraction: float) -> dict[str, float | None]:
         """The largest step of the solver, or the tolerance of adaptive ones, as stored with the weights."""
-        if self.adaptive:
-            return {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
         found: dict[str, float | None] = {"max_step": self.max_step * fraction}
+        if self.adaptive:
+            found = {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
         return found | {"switches": 1.0} if self.cutting else found
 
     def finer(self, fraction: float) -> Context:
@@ -130,14 +130,17 @@ class Context:
 
     def posed(self, packed: Packed, forcing: Forcing, fraction: float = 1.0) -> Problem:
         """The problem of packed data."""
-        switched, module = self._cut if self.cutting else (None, self.module)
-        model = self.model if switched is None or switched.model is None else switched.model
-        return Problem(model, module, packed, forcing, self.scaling(packed), self.control(fraction))
+        module = self._cut[1] if self.cutting else self.module
+        return Problem(self.solved, module, packed, forcing, self.scaling(packed), self.control(fraction))
+
+    @property
+    def solved(self) -> Model:
+        """The model that is solved: with switches of its right-hand sides where steps end there."""
+        switched = self._cut[0].model if self.cutting else None
+        return self.model if switched is None else switched
 
     @cached_property
     def _cut(self) -> tuple[Switched, GeneratedModule]:
-        if self.adaptive:
-            return Switched(None, "steps are adaptive"), self.module
         switched = with_switches(self.model)
         made = None if switched.model is None else load_module(switched.model, self.method).random(self.seed)
         return switched, made or self.module
@@ -225,7 +228,9 @@ def build_context(
         choose(model, module, options, packed.substeps),
     )
     context._packed[1.0, None] = packed
-    context.cutting = options.switches == "on" and context.switched.model is not None
+    # A likelihood has no stage that would decide it later, and its derivatives are wrong without.
+    at_once = options.switches == "on" or (options.switches == "auto" and model.marginal)
+    context.cutting = at_once and context.switched.model is not None
     return context
 
 

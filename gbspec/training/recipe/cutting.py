@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy
@@ -21,11 +22,19 @@ from gbspec.training.stages import Effort, StageName, most_iterations
 WORTH = 0.25
 """Steps are cut where that divides the effect of half the step by at least four: switches are the reason then."""
 
+_LACKING = (
+    ". Derivatives leave out how the times of jumps move: where solutions pass such jumps the fit may rest beside the "
+    "best values, and intervals may be wrong"
+)
+PASSED = 1e-9
+"""A residual, in scales of its channel, that cut steps change by more follows a solution that passes a switch."""
+
 
 def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effort: Effort) -> Planned:
     """Continues the last fit with steps that end where right-hand sides switch: where a constant occurs in conditions
-    alone, of which other steps have no derivative, and where the step's error shows and switches are the reason for it,
-    and the step is not one that the user gave."""
+    alone, of which other steps have no derivative; where solutions pass jumps, whose times other steps have no
+    derivative of; and where the step's error shows and switches are the reason for it, and the step is fixed and not
+    one that the user gave."""
     most = most_iterations(StageName.CUT, effort)
 
     def make(reached: Reached) -> Stage:
@@ -37,17 +46,24 @@ def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effor
         model = context.switched.model
         assert model is not None, "the stage has begun"
         only = ", ".join(f"`{name}`" for name in only_in_switches(context.model, model))
-        why = f"only the times of switches depend on {only}" if only else "the error of steps across showed"
+        why = "the error of steps across showed"
+        if only:
+            why = f"only the times of switches depend on {only}"
+        elif jumped(found, reached):
+            why = "other steps have no derivatives of the times of jumps"
         return FinerStep(newton, f"steps end {_places(model)}, since {why}")
+
+    def jumped(found: LastFit, reached: Reached) -> bool:
+        return _passes_jumps(context, found.layout, found.seen, reached.theta, step_fraction(reached.begun))
 
     def shows(reached: Reached) -> bool:
         found = last(reached)
         wanted = context.options.switches == "auto" and not context.cutting
         if not wanted or found is None or context.switched.model is None:
             return False
-        if only_in_switches(context.model, context.switched.model):
+        if only_in_switches(context.model, context.switched.model) or jumped(found, reached):
             return True
-        if context.options.max_step is not None:
+        if context.adaptive or context.options.max_step is not None:
             return False
         size = step_fraction(reached.begun)
         now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
@@ -59,6 +75,16 @@ def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effor
     return Planned(StageName.CUT, most, make, possible=shows)
 
 
+def _passes_jumps(context: Context, layout: Parameters, blend: float, theta: Array, size: float) -> bool:
+    """Whether solutions pass switches, so that cut steps differ, and right-hand sides may jump there."""
+    if not context.switched.jumps or context.switched.model is None:
+        return False
+    now, cut = (each.engine(layout, blend, size) for each in (context, context.cut()))
+    with np.errstate(all="ignore"):
+        change = np.abs(residual_table(cut, theta) - residual_table(now, theta))[now.problem.seen]
+    return bool((change > PASSED).any())
+
+
 def _effect(context: Context, found: LastFit, theta: Array, size: float) -> float:
     """The root mean square by which half the step changes residuals; infinite where a solution blows up."""
     now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
@@ -67,6 +93,12 @@ def _effect(context: Context, found: LastFit, theta: Array, size: float) -> floa
         change = (residual_table(now, theta) - residual_table(half, theta))[seen]
         effect = float(np.sqrt(np.mean(change**2))) if len(change) else 0.0
     return effect if np.isfinite(effect) else np.inf
+
+
+def of_solutions(model: Model) -> tuple[str, ...]:
+    """The learned constants that solutions depend on, and not only what is measured of them."""
+    inside = {symbol for value in _values(replace(model, channels=()), model.balances) for symbol in value.free_symbols}
+    return tuple(item.name for item in model.learnables if item.symbol in inside)
 
 
 def only_in_switches(model: Model, cut: Model) -> tuple[str, ...]:
@@ -142,13 +174,20 @@ def said_of_switches(context: Context, parameters: Parameters, theta: Array, sta
     """Sentences about the switches of right-hand sides at the end of a fit."""
     switched, options = context.switched, context.options
     skipped = f" ({'; '.join(switched.skipped)})" if switched.skipped else ""
-    if not context.cutting:
-        asked = options.switches == "on"
-        why = switched.reason or (f"nothing to cut at{skipped}" if skipped else "no right-hand side switches")
-        return [f"`--switches on`: steps do not end where right-hand sides switch: {why}"] if asked else []
-    said = [] if not skipped else [f"steps do not end at all switches of right-hand sides{skipped}"]
-    engine = context.engine(parameters, 0.0, step_fraction(stages))
-    return said + _uncut(engine, theta)
+    if context.cutting:
+        said = [f"steps do not end at all switches of right-hand sides{skipped}{_LACKING}"] if skipped else []
+        return said + _uncut(context.engine(parameters, 0.0, step_fraction(stages)), theta)
+    why = switched.reason or (f"nothing to cut at{skipped}" if skipped else "")
+    lacking = _LACKING if switched.jumps else ""
+    if options.switches == "on":
+        why = why or "no right-hand side switches"
+        return [f"`--switches on`: steps do not end where right-hand sides switch: {why}{lacking}"]
+    if lacking and why:
+        return [f"steps do not end where right-hand sides jump: {why}{lacking}"]
+    if not _passes_jumps(context, parameters, 0.0, theta, step_fraction(stages)):
+        return []
+    asked = "`--switches off`" if options.switches == "off" else f"the stage `{StageName.CUT}` was not asked for"
+    return [f"steps do not end where right-hand sides jump: {asked}{lacking}"]
 
 
 def _uncut(engine: Engine, theta: Array) -> list[str]:
@@ -159,5 +198,6 @@ def _uncut(engine: Engine, theta: Array) -> list[str]:
         return []
     return [
         f"{count} of {engine.problem.packed.substeps} steps go across a switch of the right-hand sides, since "
-        "solutions slide along it or touch it: there they are as exact as without `--switches`"
+        "solutions slide along it or touch it: there they are as exact as without `--switches`, and derivatives may "
+        "leave out how its times move"
     ]

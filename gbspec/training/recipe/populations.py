@@ -145,11 +145,13 @@ class _Likelihoods:
         return Planned(StageName.MARGINAL, self._most, make)
 
     def jumps(self, *, near: bool) -> Planned:
-        """The search for constants that occur only where values jump; `near`, after finer steps, of those found."""
+        """The search for constants that occur only where values jump; `near`, after finer steps, of those found,
+        unless steps end at the jumps: then derivatives have led to the place already."""
         places = [] if self._parameters.n_weights else jumping(self._parameters)
+        known = self._context.cutting and not only_in_jumps(self._context.solved)
 
         def sought(reached: Reached) -> bool:
-            return bool(places) and (not near or StageName.FINER in reached.begun)
+            return bool(places) and (not near or (StageName.FINER in reached.begun and not known))
 
         def make(reached: Reached) -> Stage:
             inner = self._maximised(StageName.JUMPS, *reached.begun)

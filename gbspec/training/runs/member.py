@@ -363,8 +363,8 @@ class _Runner:
             known = certainties(self.context, self.parameters, position.best, names, instance)
             known = replace(known, covariance=shared) if marginal else known.widened(factor)
             known.write(self.directory)
-        if position.finished and not marginal:
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
+        if position.finished and not marginal:
             result.left += said_of_splines(self.context, self.parameters, position.best, names)
             result.left += said_of_past(self.context, self.parameters, position.best, names, result.channels)
             if self.context.model.events:
@@ -379,7 +379,7 @@ class _Runner:
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
         if position.finished and not marginal:
             result.tied += without_certainty(result, self.context, self.parameters, position.best, names)
-        result.tied += without_unmoved(result, self.context.model, names) if position.finished else []
+        result.tied += without_unmoved(result, self.context, names) if position.finished else []
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 

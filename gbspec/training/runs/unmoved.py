@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from gbspec.ir import Learnable, Model
-from gbspec.training.recipe import only_in_jumps
+from gbspec.training.recipe import Context, only_in_jumps
 from gbspec.training.runs.constants import EXACT, covers, inside_bounds
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import named_inseparable
@@ -46,11 +46,12 @@ def _open(learnable: Learnable, value: float, sd: float) -> bool:
     return covers(learnable, inside_bounds(learnable, value, sd)) if learnable.range.bounded else sd >= abs(value)
 
 
-def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -> list[str]:
+def without_unmoved(result: MemberResult, context: Context, stages: Sequence[str]) -> list[str]:
     """Takes their correlations from constants that no step has moved; a sentence for each of these, and for each whose
     value was only searched for. `stages` are those that led to the result. Those that no data can show are left to the
     warnings of the model: nothing but another model helps."""
-    jumping = only_in_jumps(model)
+    model = context.model
+    jumping, blind = only_in_jumps(model), only_in_jumps(context.solved)
     if result.population is not None and not result.population.maximum:  # of such a fit nothing is an estimate
         return []
     still, out = unmoved(model, result.constants, result.sd, stages), []
@@ -65,7 +66,7 @@ def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -
     unseen = named_inseparable(model) if set(still) - set(jumping) else set()
     for k in model.learnables:
         name, value = k.name, result.constants.get(k.name, math.nan)
-        if name in still and name in jumping and (model.marginal or model.diffusions):
+        if name in still and name in blind and (model.marginal or model.diffusions):
             out.append(
                 f"`{name}` was not learned: it occurs only where values jump, so that what is fitted has no derivative "
                 f"by it, and it stayed at its start, {value:.5g}. It is no estimate, and has no interval; {_GIVEN}. "
@@ -80,7 +81,12 @@ def without_unmoved(result: MemberResult, model: Model, stages: Sequence[str]) -
                 f"{value:.5g}. It is no estimate, and has no interval. Data that show it{passed}, or a value (`const`) "
                 "help"
             )
-        elif name in jumping and _without_interval(result, k) and not _told(result, name):
+        elif name in jumping and name not in blind and _without_interval(result, k) and not _told(result, name):
+            out.append(
+                f"`{name}` has no interval: it occurs only where values jump, and the data do not show that place near "
+                f"{value:.5g}; {_GIVEN}. Data that show it, or a start that solutions pass, help"
+            )
+        elif name in blind and _without_interval(result, k) and not _told(result, name):
             found = f"{value:.5g} is the best of the values that were tried, and " if _tried(stages) else ""
             out.append(
                 f"`{name}` has no interval: it occurs only where values jump, so that what is fitted has no derivative "
