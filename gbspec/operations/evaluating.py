@@ -300,7 +300,8 @@ def _starts(model: Model, data: Trajectories, learned: list[Array | None] | None
     guess = np.array([0.0 if s.start is None else s.start for s in model.states], dtype=np.float64)
     for j, item in enumerate(data.items):
         own = None if learned is None else learned[j]
-        out[j] = measured_start(model, item, guess if own is None else own)
+        # A fit of whole solutions learns starts that were measured too: its likelihood is that from these.
+        out[j] = measured_start(model, item, guess) if own is None or model.diffusions else own
         lacking = [model.states[i] for i in needed(model, item) if own is None and model.states[i].start is None]
         for state in lacking:
             message = f"the start of `{state.name}` in trajectory `{item.label}` is not known"

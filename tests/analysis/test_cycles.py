@@ -16,7 +16,16 @@ from gbspec.analysis.bifurcation.settle import settle
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.steady import steady_states
 from gbspec.analysis.systems.system import System
-from tests.analysis.textbook import baltzis_fredrickson, brusselator, lorenz, morris_lecar, roessler, urp, van_der_pol
+from tests.analysis.textbook import (
+    baltzis_fredrickson,
+    brusselator,
+    lorenz,
+    morris_lecar,
+    roessler,
+    textbook,
+    urp,
+    van_der_pol,
+)
 
 
 def cycle_at(system: System, name: str, value: float, start: list[float]) -> Cycle:
@@ -223,3 +232,10 @@ def test_a_fold_of_cycles_is_drawn_on_the_cycles() -> None:
     assert found.drawn_at(fold) == pytest.approx(cycle.maximum)
     (hopf,) = found.of_kind("hopf")
     assert found.drawn_at(hopf) == pytest.approx(hopf.state)
+
+
+def test_a_flow_that_blows_up_in_finite_time_settles_nowhere() -> None:
+    """Bogdanov and Takens' normal form: outside of the unstable cycle x' = x^2 has no end but infinity."""
+    states = {"x": (-3.0, 3.0), "y": (-3.0, 3.0)}
+    system = textbook("bt", ("x", "y"), lambda x, y, m2: (y, -0.5 + m2 * y + x**2 + x * y), {"m2": 0.8}, states)
+    assert settle(Family(system, "m2"), 0.8, np.array([0.8, 0.1])) is None

@@ -93,12 +93,18 @@ def test_trajectories_that_were_not_trained_on(data: Trajectories) -> None:
     assert caught.value.diagnostics[0].code == "GB876"
 
 
-def test_measured_initial_states_are_not_compared() -> None:
+@pytest.mark.parametrize("moved", [0.0, 0.01])
+def test_measured_initial_states_are_compared_where_a_fit_has_moved_them(moved: float) -> None:
+    """Fits of whole solutions treat first values as measurements like all others, and learn where solutions begin."""
     subject = models.reference(model_of("urp_gb2"))
     options = replace(OPTIONS, channels="all", keep_start=True)
     full = replace(simulate(subject.evaluator, subject.model, options), sha256="known")
     instance = nearly_true()
-    instance.weights["initial"] = np.zeros((len(full), 2))
+    instance.weights["initial"] = np.array([item.values[0] + moved for item in full.items])
+    if moved:
+        learned = [item.learned for item in compare(instance, full, None).items]
+        np.testing.assert_array_equal(learned, instance.weights["initial"])
+        return
     with pytest.raises(UserError) as caught:
         compare(instance, full, None)
     assert "the model or the table gives them" in caught.value.diagnostics[0].message

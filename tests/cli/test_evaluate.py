@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -91,6 +92,26 @@ def test_a_stiff_model_is_solved_by_a_stiff_method(here: Path, document: Run) ->
     made = document("evaluate", "stiff.gb", "data.csv")
     assert made["solver"] == "ros34pw2"
     assert [one["value"] for one in made["simulation"]] == pytest.approx([math.cos(0.5), math.cos(5.0)], abs=1e-6)
+
+
+def test_a_run_is_evaluated_from_the_starts_that_it_has_learned(here: Path, gbspec: Run, document: Run) -> None:
+    """Whole solutions of noisy values begin where the fit has them begin, not at the first values. At a maximum the
+    gradient is small, which says nothing against the integration."""
+    (here / "m.gb").write_text(
+        "model m\nlearn k = 0.5 in [0.01, 5]\nstate x in [0, 3]\nx' = -k*x\nobserve x noise normal(0.1)\n"
+    )
+    random = np.random.default_rng(0)
+    times = np.arange(0.0, 3.0, 0.5)
+    rows = [(i, t, 2 * np.exp(-0.7 * t) + 0.1 * random.standard_normal()) for i in range(3) for t in times]
+    (here / "d.csv").write_text("trajectory,t,x\n" + "".join(f"{i},{t},{x:.4f}\n" for i, t, x in rows))
+    assert gbspec("train", "m.gb", "d.csv", "-o", "run").exit_code == 0
+    result = gbspec("evaluate", "run", "d.csv", "--json")
+    made, run = json.loads(result.stdout), package.open_run("run")
+    starts = run.learned_starts()["x"].to_list()
+    left = [(starts[i] * np.exp(-run.constants["k"] * t) - x) / 0.1 for i, t, x in rows]
+    assert made["chi2"] == pytest.approx(np.sum(np.square(left)), rel=1e-3)
+    assert any(abs(first - rows[6 * i][2]) > 0.02 for i, first in enumerate(starts))
+    assert abs(made["gradient"]["k"]) < 1.0 and "GB889" not in result.stderr
 
 
 def test_a_run_is_evaluated_with_its_networks_starts_and_noise(

@@ -143,6 +143,8 @@ def test_the_command_predicts_what_it_left_out(tmp_path: Path, trajectories: int
     how = {"method": "lm", "epochs": 8, "warm_start": False, "threads": 1}
     from_python = gbspec.load(model).crossvalidate(tmp_path / "t.csv", out, folds=3, **how)
     assert from_python.to_json() == found
+    quiet = CliRunner().invoke(build(["crossvalidate"]), [one for one in arguments if one != "--json"] + ["-q"])
+    assert quiet.stdout == (out / "table.md").read_text()
     other = CliRunner().invoke(build(["crossvalidate"]), [*arguments, "--seed", "1"])
     assert other.exit_code == 1 and "GB820" in other.stderr
 

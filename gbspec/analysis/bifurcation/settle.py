@@ -18,6 +18,9 @@ ROUNDS = 8
 CLOSED = 2e-3
 """An orbit counts as closed when it returns to within this fraction of its extent."""
 
+FARTHEST = 1e6
+"""Solutions with a state this many times its scale are given up."""
+
 
 @dataclass(frozen=True)
 class Settled:
@@ -45,11 +48,12 @@ def settle(family: Family, value: float, start: Array, samples: int = 400) -> Se
         return family.linear(x, value)[1].reshape(n, n)
 
     scale = family.system.scale
+    astray = _astray(scale)
     x = start
     span = 50.0 * _time_scale(jacobian(0.0, x))
     for _ in range(ROUNDS):
-        solution = solve_ivp(rhs, (0.0, span), x, "LSODA", rtol=1e-6, atol=1e-9 * scale, jac=jacobian)
-        if not solution.success or not np.isfinite(solution.y[:, -1]).all():
+        solution = solve_ivp(rhs, (0.0, span), x, "LSODA", rtol=1e-6, atol=1e-9 * scale, jac=jacobian, events=astray)
+        if solution.status != 0 or not np.isfinite(solution.y[:, -1]).all():
             return None
         x = solution.y[:, -1]
         if np.linalg.norm(rhs(0.0, x) / scale) * span < 1e-6:
@@ -59,6 +63,17 @@ def settle(family: Family, value: float, start: Array, samples: int = 400) -> Se
             return orbit
         span *= 2.0
     return None
+
+
+def _astray(scale: Array) -> Field:
+    """A terminal event: a solution goes so far off that it is on no orbit, as one that blows up in finite time, which
+    would otherwise be followed by ever shorter steps."""
+
+    def margin(_: float, x: Array) -> Array:
+        return np.asarray(FARTHEST - np.max(np.abs(x / scale)))
+
+    margin.terminal = True  # type: ignore[attr-defined]  # scipy's way
+    return margin
 
 
 def _time_scale(jacobian: Array) -> float:
@@ -76,9 +91,10 @@ def _returned(rhs: Field, jacobian: Field, x: Array, span: float, scale: Array, 
     flow = rhs(0.0, x) / scale
     normal = flow / np.linalg.norm(flow)
     solution = solve_ivp(
-        rhs, (0.0, span), x, "LSODA", rtol=TOLERANCE, atol=1e-10 * scale, jac=jacobian, dense_output=True
-    )
-    if not solution.success:
+        rhs, (0.0, span), x, "LSODA", rtol=TOLERANCE, atol=1e-10 * scale, jac=jacobian, dense_output=True,
+        events=_astray(scale),
+    )  # fmt: skip
+    if solution.status != 0:
         return None
 
     def across(time: float) -> float:

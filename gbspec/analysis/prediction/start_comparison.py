@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
+from gbspec.analysis.prediction.solutions import learned_positions, learned_start, measured_start, needed
 from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
 from gbspec.data import scales_of
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from gbspec.backends import Evaluator
-    from gbspec.data import Trajectories
+    from gbspec.data import Trajectories, Trajectory
     from gbspec.ir import Model
     from gbspec.runs import DataRecord
 
@@ -154,9 +154,11 @@ def initial_states(
     found = []
     for index in chosen:
         item, position = data.items[index], positions[index]
-        if position is None or not needed(model, item):
+        if position is None:
             continue
         learned = learned_start(evaluator, position, item)
+        if not needed(model, item) and not _moved(model, item, learned.state):
+            continue
         bred, true = breeder.start(item), None if judge is None else judge.start(item)
         if bred.origin == "failed" or (true is not None and true.origin == "failed"):
             continue
@@ -182,6 +184,12 @@ def initial_states(
     if not found:
         _refuse(any(position is not None for position in positions))
     return InitialStates(system.states, tuple(found))
+
+
+def _moved(model: Model, item: Trajectory, learned: Array) -> bool:
+    """Whether a fit, as of whole solutions, has learned starts that the first row measures."""
+    apart = learned != measured_start(model, item, learned)
+    return any(apart[i] for i, state in enumerate(model.states) if state.initial.kind == "measured")
 
 
 def _modes(jacobian: Array, scale: Array) -> tuple[ComplexArray, Callable[[Array], Array]]:

@@ -63,7 +63,7 @@ def run(
 
         found = crossvalidate(specified, measured, directory, options, division, progress)
     output.say(f"wrote {directory / 'table.md'}")
-    output.summary((directory / "table.md").read_text(encoding="utf-8").rstrip("\n"))
+    output.result((directory / "table.md").read_text(encoding="utf-8").rstrip("\n"))
     output.document(found.to_json())
 
 

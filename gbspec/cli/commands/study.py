@@ -53,7 +53,7 @@ def run(
     made_by = shlex.join(["gbspec", "study", *cases, "-o", to, *options.flags()])
     summary = run_study(study, root, options, made_by, told)
     output.say(f"wrote {root / 'table.md'}")
-    output.summary((root / "table.md").read_text(encoding="utf-8").rstrip("\n"))
+    output.result((root / "table.md").read_text(encoding="utf-8").rstrip("\n"))
     output.document(summary.to_json())
 
 

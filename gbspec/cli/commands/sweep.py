@@ -63,5 +63,5 @@ def run(
     output.say(f"wrote {Path(to) / 'sweep.csv'}")
     header = [name for name in max((row.numbers for row in rows), key=len) if name not in chosen[0].varied]
     cells = [[row.run, *(number(row.numbers.get(name)) for name in header)] for row in rows]
-    output.summary(table(["run", *header], cells))
+    output.result(table(["run", *header], cells))
     output.document({"runs": [row.to_json() for row in rows]})

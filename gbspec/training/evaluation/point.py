@@ -178,7 +178,12 @@ def _judged(
         np.inf,
         method.name,
     )
-    return replace(found, accuracy=change(previous, found)) if previous is not None else found
+    if previous is None:
+        return found
+    # The root of the information of each constant: entries of the gradient are of this size where the model is right.
+    known = np.sqrt(np.sum((trial.by_constants / np.where(sd > 0, sd, np.inf)[:, None]) ** 2, axis=0))
+    typical = dict(zip(found.gradient, known.tolist(), strict=True))
+    return replace(found, accuracy=change(previous, found, typical))
 
 
 def _values(
@@ -209,9 +214,10 @@ def ordered(owner: Integers, time: Array, channel: Integers) -> Integers:
     return np.lexsort((channel, time, owner))
 
 
-def change(before: Evaluated, after: Evaluated) -> float:
+def change(before: Evaluated, after: Evaluated, typical: Mapping[str, float] | None = None) -> float:
     """The largest change of the likelihood, a prediction or an entry of the gradient, relative to its size (of
-    predictions: at least a hundredth of the largest one of the channel; of the gradient: of its largest entry)."""
+    predictions: at least a hundredth of the largest one of the channel; of the gradient: of its largest entry, and at
+    least the `typical` size of each: near a maximum all of them are small)."""
     parts = [abs(after.nllh - before.nllh) / max(abs(after.nllh), 1.0)]
     for channel in {one.channel for one in after.simulation}:
         pairs = [
@@ -220,9 +226,9 @@ def change(before: Evaluated, after: Evaluated) -> float:
         old, new = np.array([b for _, b in pairs]), np.array([a for a, _ in pairs])
         size = np.maximum(np.abs(new), 1e-2 * np.abs(new).max())
         parts.append(float(np.max(np.abs(new - old) / np.where(size > 0, size, 1.0))))
-    slopes = [(after.gradient[name], before.gradient[name]) for name in after.gradient]
-    largest = max((abs(new) for new, _ in slopes), default=0.0) or 1.0
-    parts += [abs(new - old) / largest for new, old in slopes]
+    largest, least = max(map(abs, after.gradient.values()), default=0.0), typical or {}
+    for name, slope in after.gradient.items():
+        parts.append(abs(slope - before.gradient[name]) / (max(largest, least.get(name, 0.0)) or 1.0))
     return float(np.max(parts))
 
 
