@@ -191,7 +191,7 @@ class Specification(Tabled):
     def eigen(
         self,
         *,
-        at: Sequence[Mapping[str, float]] = (),
+        at: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
         along: Data | None = None,
         steady: bool = False,
         values: Mapping[str, float] | None = None,

@@ -130,7 +130,7 @@ class FittedRun(Tabled):
     def eigen(
         self,
         *,
-        at: Sequence[Mapping[str, float]] = (),
+        at: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
         along: Data | None = None,
         steady: bool = False,
         values: Mapping[str, float] | None = None,

@@ -41,16 +41,21 @@ def system(source: Subject) -> System:
 
 @packages()
 def eigen(
-    source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
+    source: Subject,
+    *,
+    at: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
+    along: Trajectories | None = None,
+    steady: bool = False,
 ) -> Eigen:
-    """Eigenvalues of a subject; for a run also those of its model's truth, if there is one.
+    """Eigenvalues of a subject at one point or several; for a run also those of its model's truth, if there is one.
 
     Raises UserError (GB383) for a point with a number of no category.
     """
     from gbspec.analysis import eigen as run
 
     _without_events(source, "eigen")
-    wrong = [problem for point in at for problem in not_categories(source.model.conditions, _each(point))]
+    points = [at] if isinstance(at, Mapping) else at
+    wrong = [problem for point in points for problem in not_categories(source.model.conditions, _each(point))]
     if wrong:
         raise UserError(wrong)
     true = truth_of(source)
@@ -61,7 +66,7 @@ def eigen(
 
         fit = None if source.run is None else source.run.fit
         predicted = predictions(source.evaluator, source.model, along, fit)
-    return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
+    return run(system(source), truth=truth, at=points, along=along, predicted=predicted, steady=steady)
 
 
 def _each(point: Mapping[str, float]) -> dict[str, tuple[float]]:

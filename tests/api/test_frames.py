@@ -174,6 +174,7 @@ def test_results_of_a_run_are_frames(run: gbspec.FittedRun, data: Trajectories) 
     forecast = run.predict(data.to_frame(), window=2)
     assert forecast.to_frame().columns == ["trajectory", "t", "x", "x_low", "x_high", "used", "outside"]
     eigen = run.eigen(at=[{"x": 1.0, "T": 300.0}])
+    assert str(run.eigen(at={"x": 1.0, "T": 300.0})) == str(eigen)
     assert eigen.to_frame()["real"][0] == pytest.approx(-run.constants["k"])
     for result in (run, validation, forecast, eigen, data):
         assert len(repr(result)) < 300
