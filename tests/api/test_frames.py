@@ -185,10 +185,11 @@ def test_results_of_a_run_are_frames(run: gbspec.FittedRun, data: Trajectories) 
 
 
 def test_a_fit_goes_on_with_the_same_data_in_memory_only(run: gbspec.FittedRun, data: Trajectories) -> None:
-    for given, code in ((data, "GB876"), (data.to_frame(), "GB876"), (data.subset([0]), "GB859")):
-        with pytest.raises(gbspec.UserError) as caught:  # GB876: this model learns no initial state
-            run.initial_states(given)
-        assert [d.code for d in caught.value.diagnostics] == [code]
+    for given in (data, data.to_frame()):  # the fit has moved the starts, which are measured with noise
+        assert len(run.initial_states(given).items) == 4
+    with pytest.raises(gbspec.UserError) as caught:
+        run.initial_states(data.subset([0]))
+    assert [d.code for d in caught.value.diagnostics] == ["GB859"]
 
 
 def test_a_model_shows_what_it_declares(model: gbspec.Specification) -> None:
