@@ -12,7 +12,7 @@ import torch
 from gbspec.data import Trajectories
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model, residuals, slopes
-from gbspec.operations import tables
+from gbspec.operations import evaluating, tables
 from gbspec.training import TrainOptions, train
 from tests.training.test_populations import marginal_of, model_of
 
@@ -107,3 +107,18 @@ def test_residuals_of_large_predictions_of_nothing_warn_of_nothing() -> None:
     others = torch.from_numpy(measured), torch.from_numpy(factor)
     (found,) = torch.autograd.grad(residuals(at, *others, logs, torch).sum(), at)
     assert found.numpy() == pytest.approx(np.array([[1.0, 0.25]]))
+
+
+def test_a_prediction_that_stays_zero_leaves_the_gradient_finite(tmp_path: Path) -> None:
+    """The root of the noise has no derivative there, and no constant moves the prediction."""
+    text = LEVEL.replace("x' = 0", "x' = s - x").replace("initial x = s", "initial x = 0")
+    model, data = data_of(tmp_path, text.replace("NOISE", "normal(a + b*sqrt(y))"), [3.0, 610.0, 800.0])
+    at = evaluating.of_model(model, data).found
+    ends = [
+        evaluating.of_model(
+            model_of(text.replace("NOISE", "normal(a + b*sqrt(y))").replace("a = 30", f"a = {a}"), tmp_path), data
+        ).found
+        for a in (29.99, 30.01)
+    ]
+    assert at.gradient["a"] == pytest.approx((ends[1].nllh - ends[0].nllh) / 0.02, rel=1e-5)
+    assert all(np.isfinite(list(at.gradient.values())))

@@ -327,3 +327,46 @@ def test_constants_near_their_bounds_in_fits_that_did_not_rest(
     found = near_bounds(model, [], {0: result})
     assert len(found) == said and all("`k` ended at" in text and "near its bound" in text for text in found)
     assert not near_bounds(model, [(0, "k", 0.001)], {0: result}), "that is told"
+
+
+COUNTS = """\
+model m
+state x in [0, 2000]
+learn r = 1 in [0, 2]
+learn k = 10 in [0.1, UPPER]
+x' = -r*x
+initial x = 1
+observe x noise NOISE
+"""
+
+
+@pytest.mark.parametrize(
+    ("noise", "upper", "sd", "said"),
+    [
+        (
+            "negative_binomial(k)",
+            1e4,
+            3.5,
+            "the counts vary no more than Poisson's; `noise poisson` says the same",
+        ),
+        ("negative_binomial(k)", 1e4, 1e3, "the counts vary less than this bound says: widen it, or write `noise"),
+        ("student(0.1, k)", 100, 0.1, "there are no more outliers than under a normal noise; `noise normal(…)` of the"),
+        (
+            "student(0.1, k)",
+            10,
+            0.1,
+            "there are fewer outliers than this bound says: widen it, or write `noise normal(…)",
+        ),
+    ],
+)
+def test_a_noise_at_its_limit_needs_no_wider_bound(
+    tmp_path: Path, noise: str, upper: float, sd: float, said: str
+) -> None:
+    (tmp_path / "m.gb").write_text(COUNTS.replace("NOISE", noise).replace("UPPER", f"{upper:g}"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    result = member(ChannelRecord(0.9, 0.1, "the mean"), 1.0)
+    result.constants, result.noise = {"r": 1.0, "k": upper}, {"x": sd}
+    (told,) = said_of_constants(model, {}, [(0, "k", upper)], {0: result})
+    assert f"`k` ended at its bound {upper:g}; {said}" in told and "plausible" not in told
+    (low,) = said_of_constants(model, {}, [(0, "k", 0.1)], {0: result})
+    assert "widen the bounds if values beyond it are plausible" in low

@@ -167,7 +167,9 @@ def _judged(
     measured = density.measured
     constants = given.constants[measured.owner]
     nllh, by_mean, by_constants = density.slopes(trial.mean, constants)
-    gradient = (by_mean[:, None] * trial.by_constants + by_constants).sum(axis=0)
+    with np.errstate(invalid="ignore"):  # what does not move a prediction moves nothing by it, also a root at 0
+        moved = np.where(trial.by_constants == 0, 0.0, by_mean[:, None] * trial.by_constants)
+    gradient = (moved + by_constants).sum(axis=0)
     residual, sd = (x.numpy() for x in density.standardised(torch.from_numpy(trial.mean), torch.from_numpy(constants)))
     values = _values(model, problem, measured, trial.mean, sd, residual)
     found = Evaluated(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from itertools import combinations
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from gbspec.files import finite
 from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
+from gbspec.training.runs.limiting_noise import said_of_limits
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import named_inseparable, not_followed
 
@@ -158,9 +160,11 @@ def at_bounds(
     return [(name, bound) for name, bound in found if bound is not None]
 
 
-def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
+def undetermined(
+    model: Model, constants: Mapping[str, ConstantRecord], at_limits: Mapping[str, str] = MappingProxyType({})
+) -> list[str]:
     """A warning of the constants whose intervals cover their bounds: value and standard deviation, which holds near the
-    value alone, may seem to say more."""
+    value alone, may seem to say more. `at_limits`: what is said of shapes of noises at upper bounds."""
     at_bound, open_ones = [], []
     for learnable in model.learnables:
         record, bounds = constants.get(learnable.name), learnable.range
@@ -169,10 +173,14 @@ def undetermined(model: Model, constants: Mapping[str, ConstantRecord]) -> list[
         near = min((bounds.low, bounds.high), key=lambda bound: abs(record.value - bound))
         narrow = Bijection.of(learnable).share(record.value, record.sd) < NARROW
         if narrow and abs(record.value - near) < 3 * (record.sd or 0.0):
+            otherwise = (
+                "widen the bounds if values beyond are plausible, else the model or another constant is not what it "
+                "should be"
+            )
             at_bound.append(
                 f"`{learnable.name}` lies at its bound {near:g}, within its standard deviation of {record.sd:.2g}; its "
-                "interval, which cannot leave the bounds, says nothing there: widen the bounds if values beyond are "
-                "plausible, else the model or another constant is not what it should be"
+                "interval, which cannot leave the bounds, says nothing there: "
+                f"{at_limits.get(learnable.name, otherwise)}"
             )
         else:
             open_ones.append((learnable.name, record.interval))
@@ -214,8 +222,10 @@ def said_of_constants(
     """What is said of constants that the data do not determine, or that `ended` at bounds; members that follow no data
     say nothing of them."""
     astray = _lost(results)
-    unclear = undetermined(model, constants) if len(astray) < len(results) else []
+    at_limits = said_of_limits(model, ended, results)
     meant = [one for one in ended if one[1] not in results[one[0]].vanished]
+    known = {name: text for (_, name), text in at_limits.items()}
+    unclear = undetermined(model, constants, known) if len(astray) < len(results) else []
     beside = {
         (member, name): results[member].constants[name]
         for member, name, bound in meant
@@ -223,7 +233,7 @@ def said_of_constants(
     }
     alone = [] if model.marginal else unsettled(constants, ended, results, model)
     near = [] if model.marginal or model.diffusions else near_bounds(model, ended, results)
-    return [*unclear, *ended_at_bounds(meant, astray, beside), *near, *alone]
+    return [*unclear, *ended_at_bounds(meant, astray, beside, at_limits), *near, *alone]
 
 
 def near_bounds(
@@ -297,14 +307,19 @@ def _unsettled_own(constants: Mapping[str, ConstantRecord]) -> list[str]:
 
 
 def ended_at_bounds(
-    ended: Iterable[tuple[int, str, float]], astray: AbstractSet[int], beside: Mapping[tuple[int, str], float]
+    ended: Iterable[tuple[int, str, float]],
+    astray: AbstractSet[int],
+    beside: Mapping[tuple[int, str], float],
+    at_limits: Mapping[tuple[int, str], str],
 ) -> list[str]:
     """A warning for each constant of a member that ended at a bound; `beside`: the values of those that are only closer
-    to it than their standard deviations."""
+    to it than their standard deviations; `at_limits`: what is said of shapes of noises."""
 
-    def meaning(member: int, bound: float) -> str:
+    def meaning(member: int, name: str, bound: float) -> str:
         if member in astray:
             return "since its solutions do not follow the data, that says nothing of where the constant lies"
+        if (member, name) in at_limits:
+            return at_limits[member, name]
         return "the data do not need it" if not bound else "widen the bounds if values beyond it are plausible"
 
     def where(member: int, name: str, bound: float) -> str:
@@ -316,7 +331,7 @@ def ended_at_bounds(
         )
 
     return [
-        f"member {member}: `{name}` ended at {where(member, name, bound)}; {meaning(member, bound)}"
+        f"member {member}: `{name}` ended at {where(member, name, bound)}; {meaning(member, name, bound)}"
         for member, name, bound in ended
     ]
 
