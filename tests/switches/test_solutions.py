@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,11 @@ from gbspec.arrays import Array
 from gbspec.backends.native import CompilerError
 from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import Signal, Trajectories
-from gbspec.ir import Model
+from gbspec.ir import METHODS, Model
 from gbspec.passes import with_switches
 from gbspec.training.engines.counting import happened
 from gbspec.training.engines.objective import linearise, residual_table
-from gbspec.training.problem import measured_only
+from gbspec.training.problem import Control, measured_only
 from tests.events.test_derivatives import some_rows
 from tests.events.test_kernel import engines_of, the_kernel_agrees
 from tests.switches.models import FRICTION, ORDER, OVERFLOW, RELAY, SEVERAL
@@ -83,6 +85,20 @@ def test_the_jacobian_is_exact(text: str, blend: float) -> None:
 @CASES
 def test_the_kernel_agrees_with_the_graph(text: str, blend: float) -> None:
     the_kernel_agrees(*problem_of(cut(text), ROWS[text], 0.15, blend=blend))
+
+
+@pytest.mark.parametrize("solver", ["dopri5", "ros34pw2"])
+@pytest.mark.parametrize("text", [OVERFLOW, RELAY, SEVERAL], ids=["overflow", "relay", "several"])
+def test_adaptive_steps_end_at_switches_too(text: str, solver: str) -> None:
+    """With the derivatives of exact solutions, through the times of jumps, in the kernel and in the graph."""
+    model = cut(text)
+    problem, parameters, theta = problem_of(model, ROWS[text], np.inf, blend=0.0, method=METHODS[solver])
+    problem = replace(problem, control=Control(1e-7, np.ones(len(model.states))))
+    fixed, same, _ = problem_of(model, ROWS[text], 0.01, blend=0.0)
+    exact = linearise(engines_of(fixed, same)[1], theta).shared
+    for engine in engines_of(problem, parameters):
+        found = linearise(engine, theta).shared
+        assert float((exact - found).abs().max()) < 1e-4 * float(exact.abs().max())
 
 
 def test_a_solution_that_slides_is_taken_as_without_switches() -> None:

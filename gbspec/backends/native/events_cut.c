@@ -126,7 +126,7 @@ static void cross_opened(Work *w, Crossing *c, const real *before, real *x) {
 #if SWITCHES
         Held held;
         memcpy(p->side, w->side, sizeof p->side);
-        keep(c, left, &held);
+        hold_part(c, left, &held);
 #endif
         shorts = found && wait[which] <= c->band ? shorts + 1 : 0;
         falling = found && wait[which] < 0.99 * last ? falling + 1 : 0;

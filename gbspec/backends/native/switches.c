@@ -35,7 +35,7 @@ typedef struct {
     double turn[TIMED_EVENTS + 1], left;
 } Held;
 
-static void keep(const Crossing *c, double left, Held *held) {
+static void hold_part(const Crossing *c, double left, Held *held) {
     memcpy(held->on, c->on, sizeof held->on);
     memcpy(held->turn, c->turn, sizeof held->turn);
     held->left = left;
