@@ -25,7 +25,7 @@ def told(x: float) -> float:
 
 finite = st.floats(-1e99, 1e99).map(told)
 positive = st.floats(min_value=1e-99, max_value=1e99)
-label = st.text(st.characters(codec="utf-8", exclude_characters="\0\r"), min_size=1, max_size=8).map(str.strip)
+label = st.text(st.characters(codec="utf-8", exclude_characters="\0\r\ufeff"), min_size=1, max_size=8).map(str.strip)
 
 
 def rich(start: float | None) -> Model:
