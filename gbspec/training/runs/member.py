@@ -44,6 +44,7 @@ from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import EDITION, Position, checkpoint
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
+from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import without_loosened, without_tied
@@ -376,7 +377,7 @@ class _Runner:
             other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
         if position.finished and not marginal:
-            for without in (without_tied, without_misjudged):
+            for without in (without_tied, without_misjudged, without_disturbances):
                 result.tied += without(result, self.context, self.parameters, position.best, names)
         result.tied += without_unmoved(result, self.context.model, names) if position.finished else []
         result.finished, result.notes = position.finished, list(position.notes)
