@@ -73,7 +73,8 @@ def test_drift_disturbance_and_noise_are_found_with_intervals(fitted: tuple[Run,
     likelihood = run.fit.members[0].likelihood
     assert likelihood is not None
     assert likelihood.minus2ll is not None
-    assert likelihood.aic == pytest.approx(likelihood.minus2ll + 2 * 4)
+    assert likelihood.least is not None and likelihood.least <= likelihood.minus2ll
+    assert likelihood.aic == pytest.approx(likelihood.least + 2 * 4)
     interval = likelihood.noise["X"].interval
     assert interval is not None
     assert interval[0] < 0.1 < interval[1]

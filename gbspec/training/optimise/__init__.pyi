@@ -14,7 +14,10 @@ from .levenberg_marquardt import LevenbergOptions as LevenbergOptions
 from .levenberg_marquardt import evidence as evidence
 from .levenberg_marquardt import moved as moved
 from .levenberg_marquardt import noise_variance as noise_variance
+from .maximum import Likeliest as Likeliest
+from .maximum import at_maximum as at_maximum
 from .maximum import likeliest as likeliest
+from .maximum import restricted_value as restricted_value
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import huber as huber
 from .normal_equations import huber_each as huber_each
@@ -30,6 +33,7 @@ from .priors import prior_sd as prior_sd
 from .priors import root_mean_square as root_mean_square
 from .priors import standardised as standardised
 from .priors import widest as widest
+from .restricted import sizes as sizes
 from .stage import Outcome as Outcome
 from .stage import Stage as Stage
 from .stage import State as State

@@ -6,44 +6,96 @@ more constants were estimated, so that -2 log likelihood at them is above its mi
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.restricted import FLAT, LEAST, inverse
+from gbspec.training.problem import Integers
 
-STEPS, HALVINGS, LONGEST = 10, 8, 1.0
-"""Scoring steps, halvings of each, and how far an entry moves in one."""
-ENOUGH = 1e-5
+STEPS, LONGEST = 30, 0.7
+"""Scoring steps, and how far an entry moves in one."""
+FIRST, STRONGER, DAMPINGS = 1e-3, 8.0, 8
+"""The first damping of steps, the factor of stronger ones, and how many are tried."""
+ENOUGH = 1e-4
 """Steps end where the next promises less of the log likelihood."""
 
 
-def likeliest(engine: FilterEngine, vector: Array, found: Filtered) -> float:
-    """The negative log likelihood at its maximum near the vector of a fit, `found` being the filter there. With priors,
-    which weights of networks have too, that of the fit: the maximum without them is another matter."""
-    parameters = engine.parameters
-    if parameters.n_weights or len(Priors.of(engine.problem, parameters, np.zeros(1))) or not found.finite:
-        return found.value
-    least = engine.noise.least()
-    at, best = vector, found
-    for _ in range(STEPS):
-        information = engine.information(at, best)
-        moving = np.where(np.diag(information.matrix) > 10 * FLAT, engine.layout.free, 0.0)  # not what is at a bound
-        step = -inverse(information.matrix, moving, LEAST) @ information.gradient
-        step = np.clip(step, -LONGEST, LONGEST)
-        if not -0.5 * float(step @ information.gradient) > ENOUGH:
+@dataclass(frozen=True)
+class Likeliest:
+    """A vector [size] with the filter there, and its negative log likelihood with the priors of constants."""
+
+    vector: Array
+    found: Filtered
+    value: float
+
+
+def likeliest(engine: FilterEngine, vector: Array, found: Filtered | None = None, held: int | None = None) -> Likeliest:
+    """The maximum of the likelihood, with the priors of constants, near a vector; `found` is the filter there. Weights
+    of networks stay, as does the entry that is `held`, and what is at a bound."""
+    parameters, least = engine.parameters, engine.noise.least()
+    priors = _priors(engine)
+    start = engine.filtered(vector) if found is None else found
+    now = Likeliest(vector, start, start.value + priors.penalty(vector[: parameters.size]))
+    damping = FIRST
+    for _ in range(STEPS if start.finite else 0):
+        gradient, matrix = _with_priors(engine, priors, now)
+        moving = np.where(np.diag(matrix) > 10 * FLAT, engine.layout.free, 0.0)
+        moving[: parameters.n_weights] = 0.0
+        if held is not None:
+            moving[held] = 0.0
+        undamped = inverse(matrix, moving, LEAST) @ gradient
+        if not 0.5 * float(undamped @ gradient) > ENOUGH:
             break
-        for halving in range(HALVINGS):
-            trial = at + 0.5**halving * step
+        for _ in range(DAMPINGS):
+            damped = matrix + damping * np.diag(np.diag(matrix))
+            trial = now.vector - np.clip(inverse(damped, moving, LEAST) @ gradient, -LONGEST, LONGEST)
             trial[parameters.size :] = np.maximum(trial[parameters.size :], least)
-            new = engine.filtered(trial, guess=best.guess)
-            if new.value < best.value:
+            there = engine.filtered(trial, guess=now.found.guess)
+            value = there.value + priors.penalty(trial[: parameters.size])
+            if value < now.value:
                 break
+            damping = max(damping * STRONGER, FIRST)
         else:
             break
-        at, best = trial, new
-    return best.value
+        now, damping = Likeliest(trial, there, value), damping / STRONGER
+    return now
 
 
-__all__ = ["likeliest"]
+def restricted_value(engine: FilterEngine, point: Likeliest, others: Integers) -> float:
+    """The negative logarithm of the restricted likelihood at a maximum with sizes held, with `others` integrated out in
+    Laplace's approximation, but for a constant; infinite where there is none."""
+    if not point.found.finite:
+        return float("inf")
+    _, matrix = _with_priors(engine, _priors(engine), point)
+    sign, logarithm = np.linalg.slogdet(matrix[np.ix_(others, others)])
+    return point.value + 0.5 * float(logarithm) if sign > 0 or not len(others) else float("inf")
+
+
+def _priors(engine: FilterEngine) -> Priors:
+    return replace(Priors.of(engine.problem, engine.parameters, np.zeros(1)), noise=1.0)
+
+
+def _with_priors(engine: FilterEngine, priors: Priors, now: Likeliest) -> tuple[Array, Array]:
+    """Gradient and information at a point, with those of the priors of constants."""
+    information, size = engine.information(now.vector, now.found), engine.parameters.size
+    matrix, gradient = information.matrix.copy(), information.gradient.copy()
+    if len(priors):
+        gradient[:size] += priors.gradient(now.vector[:size])
+        np.add.at(matrix, (priors.column, priors.column), priors.slopes(now.vector[:size]) ** 2)
+    return gradient, matrix
+
+
+def at_maximum(engine: FilterEngine, vector: Array, found: Filtered) -> float:
+    """The negative log likelihood at its maximum near a fit; with priors, which weights of networks have too, that of
+    the fit: the maximum without them is another matter."""
+    parameters = engine.parameters
+    if parameters.n_weights or len(_priors(engine)):
+        return found.value
+    return likeliest(engine, vector, found).value
+
+
+__all__ = ["Likeliest", "at_maximum", "likeliest", "restricted_value"]

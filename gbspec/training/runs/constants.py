@@ -43,6 +43,10 @@ def constant_record(
     values = np.array([r.constants[learnable.name] for r in results])
     within = np.array([r.sd[learnable.name] for r in results])
     center, sd, interval = _estimate(learnable, values, within, half_width(results))
+    by_likelihood = [r.intervals[learnable.name] for r in results if learnable.name in r.intervals]
+    if by_likelihood and interval is not None:  # of one member: its own; of several at least what either says
+        lows, highs = zip(*by_likelihood, *([interval] if len(results) > 1 else []), strict=True)
+        interval = min(lows), max(highs)
     return ConstantRecord(center, sd, interval, learnable.start, tuple(map(float, values)), own)
 
 

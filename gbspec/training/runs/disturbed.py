@@ -23,7 +23,7 @@ from gbspec.runs import (
     WhitenessRecord,
 )
 from gbspec.training.engines import GONE, Filtered, FilterEngine, filter, whiteness
-from gbspec.training.optimise import likeliest, widest
+from gbspec.training.optimise import at_maximum, widest
 from gbspec.training.problem import Parameters, autocorrelation_of, in_time
 from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
 from gbspec.training.runs import certainties as of_squares
@@ -150,7 +150,7 @@ def _r2(engine: FilterEngine, errors: Array, counted: Mask, channel: int) -> flo
 def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:
     """The likelihood, its criteria, the learned noises with intervals, and tests of the innovations."""
     count, values = int(engine.layout.free.sum()), int(engine.problem.valued.sum())
-    minus2, least = finite(2 * found.value), finite(2 * likeliest(engine, vector, found))
+    minus2, least = finite(2 * found.value), finite(2 * at_maximum(engine, vector, found))
     model, noise = engine.problem.model, {}
     deviations = engine.deviations(vector, found) if found.finite else np.full(len(vector), np.nan)
     _, log_sd = engine.layout.split(vector)

@@ -10,6 +10,7 @@ from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import EXACT
 from gbspec.training.runs.misjudged import without_misjudged
+from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.summary import MemberResult, whole_solutions
 from gbspec.training.runs.tied import without_tied
 from gbspec.training.starts import at_jumps
@@ -20,7 +21,7 @@ def without_certainty(
 ) -> list[str]:
     """Takes their standard deviations from constants for which the curvature is no measure; what is to be said of
     these. `stages` are those that led to `theta`."""
-    each = (without_tied, without_misjudged, _without_jumping)
+    each = (without_tied, without_misjudged, without_disturbances, _without_jumping)
     return [text for without in each for text in without(result, context, parameters, theta, stages)]
 
 

@@ -96,6 +96,8 @@ class MemberResult:
     """and those that have no interval since they follow from these."""
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Intervals of constants by the likelihood, where those of the curvature say nothing."""
 
 
 def summarise(
