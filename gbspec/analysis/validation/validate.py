@@ -235,7 +235,7 @@ def validate(
         channels, errors = _on_data(run.model, present, predicted, known)
         worst = worst_row(run, present, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
-        check = step_check(evaluators[0], step, trajectories.items, each[0])
+        check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
