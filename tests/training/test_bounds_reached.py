@@ -9,10 +9,11 @@ from typing import cast
 
 import numpy as np
 import pytest
+import torch
 
 import gbspec
 from gbspec.runs import ChannelRecord, ConstantRecord
-from gbspec.training.problem import Bijection
+from gbspec.training.problem import Bijection, Bijections
 from gbspec.training.runs.constants import (
     at_bounds,
     inside_bounds,
@@ -327,3 +328,13 @@ def test_constants_near_their_bounds_in_fits_that_did_not_rest(
     found = near_bounds(model, [], {0: result})
     assert len(found) == said and all("`k` ended at" in text and "near its bound" in text for text in found)
     assert not near_bounds(model, [(0, "k", 0.001)], {0: result}), "that is told"
+
+
+@pytest.mark.parametrize("start", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+def test_slopes_in_natural_units_are_known_beside_bounds(start: float, value: float) -> None:
+    maps = Bijections((Bijection(0.0, 1.0, start),))
+    u = maps.from_natural(np.array([value]))
+    beside = maps.inside(u)
+    assert (maps.derivative(beside) > 0).all()
+    assert maps.to_natural(torch.from_numpy(beside)).numpy() == pytest.approx([value], abs=2e-6)
