@@ -32,6 +32,7 @@ from .naive import naive_predictors as naive_predictors
 from .naive import variance_of as variance_of
 from .names import for_spreadsheets as for_spreadsheets
 from .names import similar as similar
+from .negative import below_zero as below_zero
 from .overlays import overlay as overlay
 from .regimens import lasting as lasting
 from .sampling import BY_NUMBER as BY_NUMBER

@@ -97,7 +97,7 @@ def test_half_of_a_sub_step_is_shorter_than_the_changes_of_an_input() -> None:
     evaluator = Evaluator(load_module(model_of(text))())
     start = Start(np.array([1.0]), evaluator.constants, "known")
     predicted = predict(evaluator, model_of(text), item, start)
-    found = step_check(evaluator, 1.0, [item], [predicted])  # inputs change three times in a step
+    found = step_check(evaluator, model_of(text), 1.0, [item], [predicted])  # inputs change three times in a step
     assert found.adaptive is not None and found.adaptive > 0.1
     assert found.half_step == pytest.approx(found.adaptive, rel=0.2)
     assert "depends on its training step" in str(found.warning)

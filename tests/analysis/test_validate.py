@@ -388,7 +388,7 @@ def test_a_step_that_is_too_large_is_reported(urp_data: Trajectories) -> None:
         predictions = [
             predict(evaluator, model, item, learned_start(evaluator, i, item)) for i, item in enumerate(urp_data.items)
         ]
-        checks.append(step_check(evaluator, instance.info["max_step"], urp_data.items, predictions))
+        checks.append(step_check(evaluator, model, instance.info["max_step"], urp_data.items, predictions))
     assert checks[0].half_step is not None
     assert checks[0].half_step < 2e-3
     assert checks[0].warning is None

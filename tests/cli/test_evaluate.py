@@ -83,6 +83,19 @@ def test_from_python_a_result_is_a_frame(place: Path) -> None:
     assert "d nllh/d k1" in str(found)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("bound", "inside"), [(0.0, 1e-4), (1.0, 1 - 1e-4)])
+def test_a_constant_at_its_bound_has_a_derivative(here: Path, document: Run, bound: float, inside: float) -> None:
+    (here / "level.gb").write_text(
+        "model level\nstate X in [-9, 9]\nlearn c = 0.5 in [0, 1]\nlearn s = 0.5 in [0.1, 3]\nX' = c - X\n"
+        "diffusion X = s\ninitial X = 1\nobserve X noise normal(0.1)\n"
+    )
+    (here / "data.csv").write_text("t,X\n0,\n1,0.9\n2,0.3\n3,0.8\n4,0.7\n")
+    there, near = (document("evaluate", "level.gb", "data.csv", "--set", f"c={c}") for c in (bound, inside))
+    slope = (near["nllh"] - there["nllh"]) / (inside - bound)
+    assert there["gradient"]["c"] == pytest.approx(slope, rel=1e-2)
+
+
 def test_a_stiff_model_is_solved_by_a_stiff_method(here: Path, document: Run) -> None:
     (here / "stiff.gb").write_text(
         "model stiff\nlearn k = 1e7 in [1, 1e9]\nstate X\nX' = -k*(X - cos(t))\ninitial X = 0\n"

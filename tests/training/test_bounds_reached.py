@@ -9,10 +9,11 @@ from typing import cast
 
 import numpy as np
 import pytest
+import torch
 
 import gbspec
 from gbspec.runs import ChannelRecord, ConstantRecord
-from gbspec.training.problem import Bijection
+from gbspec.training.problem import Bijection, Bijections
 from gbspec.training.runs.constants import (
     at_bounds,
     inside_bounds,
@@ -370,3 +371,13 @@ def test_a_noise_at_its_limit_needs_no_wider_bound(
     assert f"`k` ended at its bound {upper:g}; {said}" in told and "plausible" not in told
     (low,) = said_of_constants(model, {}, [(0, "k", 0.1)], {0: result})
     assert "widen the bounds if values beyond it are plausible" in low
+
+
+@pytest.mark.parametrize("start", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+def test_slopes_in_natural_units_are_known_beside_bounds(start: float, value: float) -> None:
+    maps = Bijections((Bijection(0.0, 1.0, start),))
+    u = maps.from_natural(np.array([value]))
+    beside = maps.inside(u)
+    assert (maps.derivative(beside) > 0).all()
+    assert maps.to_natural(torch.from_numpy(beside)).numpy() == pytest.approx([value], abs=2e-6)

@@ -58,7 +58,7 @@ def said_of_ends(model: Model, items: Sequence[Predicted], hidden: Sequence[int]
             channel = model.channels[j] if j < len(model.channels) else None
             found.append(
                 f"the 90 % intervals of `{name}` go below zero in {rows}, although {_declared(model, channel)}: "
-                + (_HIDDEN if channel is None else _MEASURED + _instead(name, value))
+                + (_hidden(name, mean) if channel is None else _MEASURED + _instead(name, value))
             )
     return found
 
@@ -87,4 +87,14 @@ _MEASURED = (
     "they are those of new measurements, with the noise and what is not known of the model, around the model's value "
     "by as much to either side"
 )
-_HIDDEN = "they are linearised, by as much to either side. Values near zero are possible, negative ones are not"
+
+
+def _hidden(name: str, mean: Array) -> str:
+    """What ends below zero of a state say whose predictions are `mean`."""
+    least = float(np.min(mean, initial=0.0, where=np.isfinite(mean)))
+    if least < -FAR * float(np.max(np.abs(mean), initial=0.0, where=np.isfinite(mean))):
+        return (
+            f"its predictions are negative themselves (to {least:.3g}), since nothing keeps a start or a solution "
+            "within a declared range"
+        )
+    return "they are linearised, by as much to either side. Values near zero are possible, negative ones are not"

@@ -20,7 +20,7 @@ import numpy as np
 
 from gbspec.analysis.validation.metrics import truth_scale
 from gbspec.arrays import Array
-from gbspec.data import evenly_spaced
+from gbspec.data import below_zero, evenly_spaced
 from gbspec.files import finite
 from gbspec.frames import counted
 from gbspec.runs import DEPENDS, StepRecord, encode
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.prediction import Prediction
     from gbspec.backends import Evaluator
     from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
     from gbspec.runs import Run
 
 
@@ -47,7 +48,8 @@ class StepCheck:
     `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None without a step or
     trajectories; infinite if the fixed step diverges. `unsolved`: number of trajectories that the training's step can
     solve and the adaptive solver cannot. `label`: the trajectory in which half the step differs most. `ahead`: it is
-    that of a filter's predictions from row to row, for which there is no adaptive solution.
+    that of a filter's predictions from row to row, for which there is no adaptive solution. `negative`: the states that
+    are declared from zero and go below it.
     """
 
     half_step: float | None
@@ -57,6 +59,7 @@ class StepCheck:
     unsolved: int = 0
     label: str = ""
     ahead: bool = False
+    negative: tuple[str, ...] = ()
 
     def record(self) -> StepRecord:
         """What `fit.json` keeps of it."""
@@ -73,6 +76,17 @@ class StepCheck:
         return counted(number, "trajectory that was checked", "trajectories that were checked")
 
     @property
+    def _below_zero(self) -> str:
+        """What is likely where states are negative that are declared not to be."""
+        if not self.negative:
+            return ""
+        names = ", ".join(f"`{name}`" for name in self.negative)
+        return (
+            f". {names} {'is' if len(self.negative) == 1 else 'are'} below 0 at times, where the declared range "
+            "begins; fixed steps can cross a pole of the balances there, and adaptive ones meet it: a likely cause"
+        )
+
+    @property
     def warning(self) -> str | None:
         """The warning if the right-hand side depends on the step; otherwise None."""
         if self.ahead:
@@ -82,6 +96,7 @@ class StepCheck:
                 f"an adaptive solver cannot solve {self.unsolved} of {self._checked}; the training step of "
                 f"{self.step:.6g} can, and half of it changes the solutions by "
                 f"{100 * self.half_step:.2g} % of the states' ranges at most, so that the step is not the reason"
+                + self._below_zero
             )
         if self.unsolved:
             return (
@@ -100,6 +115,7 @@ class StepCheck:
                 f"an adaptive solver {differ} where half the training step of {self.step:.6g} changes nothing: the "
                 "solutions are sensitive to the integration (a jump of the right-hand side, an unstable solution), and "
                 "results of `predict`, `validate` and figures, which are adaptive, are uncertain by as much"
+                + self._below_zero
             )
         if not math.isfinite(worst):
             return (
@@ -155,12 +171,16 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
         items = [trajectories.items[i] for i, _ in chosen]
         starts = [learned_start(evaluator, position, trajectories.items[i]) for i, position in chosen]
         predicted = [predict(evaluator, run.model, item, start) for item, start in zip(items, starts, strict=True)]
-        checks.append(step_check(evaluator, run.equal_step(number), items, predicted))
+        checks.append(step_check(evaluator, run.model, run.equal_step(number), items, predicted))
     return tuple(checks)
 
 
 def step_check(
-    evaluator: Evaluator, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
+    evaluator: Evaluator,
+    model: Model,
+    step: float | None,
+    items: Sequence[Trajectory],
+    predictions: Sequence[Prediction],
 ) -> StepCheck:
     """Solves up to 24 trajectories again with the training's steps and with half of each, from the same starts."""
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
@@ -171,14 +191,24 @@ def step_check(
     solved = [(item, one) for item, one in tried if np.isfinite(_fixed(evaluator, step, item, one)).all()]
     if not pairs:
         differences = _halved(evaluator, step, solved)
-        return StepCheck(max(differences.values(), default=None), None, step, 0, len(solved))
+        negative = _negative(model, solved, [_fixed(evaluator, step, item, one) for item, one in solved])
+        return StepCheck(max(differences.values(), default=None), None, step, 0, len(solved), negative=negative)
     chosen = [pairs[k] for k in evenly_spaced(len(pairs), LOOKED_AT)]
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])
     halved = _halved(evaluator, step, [*chosen, *solved], scale)
     label = max(halved, key=lambda each: halved[each])
-    return StepCheck(halved[label], _largest(adaptive - coarse, scale), step, len(chosen), len(solved), label)
+    largest, negative = _largest(adaptive - coarse, scale), _negative(model, chosen, [adaptive, coarse])
+    return StepCheck(halved[label], largest, step, len(chosen), len(solved), label, negative=negative)
+
+
+def _negative(
+    model: Model, checked: Sequence[tuple[Trajectory, Prediction]], solutions: Sequence[Array]
+) -> tuple[str, ...]:
+    """The states that starts or solutions take below zero although they are declared from zero."""
+    starts = [one.start.state[None] for _, one in checked]
+    return tuple(below_zero(model, np.concatenate([*starts, *solutions]))) if starts else ()
 
 
 def filter_check(step: float, labels: Sequence[str], coarse: Sequence[Array], fine: Sequence[Array]) -> StepCheck:

@@ -239,7 +239,7 @@ def validate(
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         # With disturbances the step is the filter's, which does not solve from the start.
         if not run.model.diffusions:
-            check = step_check(evaluators[0], step, trajectories.items, each[0])
+            check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)

@@ -102,7 +102,9 @@ def _marginal(context: Context, parameters: Parameters, given: Given, halvings: 
     value = marginal.value(u, weights, begun, afresh=True)
     if not np.isfinite(value.total):
         return None
-    slopes = marginal.slopes(u, weights, value.z).parameters.sum(axis=0) / 2 / layout.bijections.derivative(u)
+    beside = layout.bijections.inside(u)
+    slopes = marginal.slopes(beside, weights, value.z).parameters.sum(axis=0) / 2
+    slopes = slopes / layout.bijections.derivative(beside)
     of = marginal.likelihood.at(layout.natural(marginal.rows(u)), torch.from_numpy(value.z), weights)
     measured, problem = marginal.predictions.measured, marginal.predictions.problem
     mean, sd = of.mean.detach().numpy(), np.sqrt(of.variance.detach().numpy())
@@ -144,7 +146,10 @@ def _filtered(context: Context, parameters: Parameters, given: Given, halvings: 
     found = engine.filtered(vector)
     if not found.finite:
         return None
-    slopes, seen, log = engine.information(vector, found).gradient, found.seen, engine.noise.log
+    places, beside = slice(parameters.n_weights, parameters.n_shared), vector.copy()
+    beside[places] = parameters.bijections(parameters.shared).inside(vector[places])
+    there = found if np.array_equal(beside, vector) else engine.filtered(beside)
+    slopes, seen, log = engine.information(beside, there).gradient, found.seen, engine.noise.log
     row, channel = np.nonzero(seen)
     sd = np.sqrt(found.variance[row, channel])
     residual = -found.error[row, channel] / sd
@@ -152,7 +157,7 @@ def _filtered(context: Context, parameters: Parameters, given: Given, halvings: 
     values = _values(context, problem.packed.row_trajectory[row], problem.packed.row_time[row], channel, logs,
                      found.mean[row, channel], measured, sd, residual, np.zeros(len(row)))  # fmt: skip
     nllh = found.value + float(measured[logs].sum())
-    gradient = _shared_slopes(parameters, theta, slopes)
+    gradient = _shared_slopes(parameters, beside[: parameters.size], slopes)
     exact = 0.0 if engine.exact is not None else np.inf
     lacking = Lacking.of(context.model, context.switched, slides=False)
     return Evaluated(nllh, float(np.sum(residual**2)), gradient, values, exact, "the filter of disturbances", lacking)

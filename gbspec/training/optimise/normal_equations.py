@@ -50,10 +50,10 @@ def huber(residuals: Array, delta: Array | float) -> float:
     number."""
     if not np.isfinite(residuals).all():
         return float("inf")
-    if np.ndim(delta) == 0 and np.isinf(delta):
-        with np.errstate(over="ignore"):  # residuals of a diverging solution: their sum is infinite
+    with np.errstate(over="ignore"):  # residuals of a diverging solution: their sum is infinite
+        if np.ndim(delta) == 0 and np.isinf(delta):
             return 0.5 * float(residuals @ residuals)
-    return float(huber_each(residuals, delta).sum())
+        return float(huber_each(residuals, delta).sum())
 
 
 def huber_each(residuals: Array, delta: Array | float) -> Array:
@@ -167,8 +167,9 @@ class NormalEquations:
         """J^T r [size]."""
         parameters = self.parameters
         local = np.zeros((parameters.trajectories, parameters.n_local))
-        np.add.at(local, self.owner, self.local * residuals[:, None])
-        return np.concatenate([self.shared.T @ residuals, local.ravel()])
+        with np.errstate(over="ignore"):  # of solutions that blow up: such a step is refused
+            np.add.at(local, self.owner, self.local * residuals[:, None])
+            return np.concatenate([self.shared.T @ residuals, local.ravel()])
 
     def gradient(self) -> Array:
         """Gradient of the objective [size]."""
@@ -306,7 +307,8 @@ class NormalEquations:
             return self._primal_kept[0]
         ns, nl = self.parameters.n_shared, self.parameters.n_local
         if self._grams is None:
-            self._grams = self.shared.T @ self.shared, np.zeros((0, 0))
+            with np.errstate(over="ignore"):
+                self._grams = self.shared.T @ self.shared, np.zeros((0, 0))
         diagonal = self._diagonal(damping)
         matrix = self._grams[0].copy()
         matrix[np.diag_indices_from(matrix)] += diagonal[:ns]

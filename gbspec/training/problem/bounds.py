@@ -48,6 +48,8 @@ is of the end of the scale, where nothing changes any more, and fits stop on the
 FAR, FELT = 1 / 30, 1 / 3
 """Closer to a bound than `FAR` of its standard deviation, a constant is there also where this is below `FELT` of the
 bounds' width: such data tell it from the other bound, which an interval on the scale of training would reach."""
+INSIDE = 1e-6
+"""Slopes in natural units of a constant at a bound are those so far inside, as a part of the range."""
 ALIKE = 1e-6
 """An end of an interval cannot be told from a bound if it is closer to it than this fraction of the value is."""
 
@@ -260,6 +262,18 @@ class Bijections:
             return np.zeros_like(u)
         (slope,) = torch.autograd.grad(self.to_natural(x).sum(), x)
         return np.asarray(slope.numpy(), dtype=np.float64)
+
+    def inside(self, u: Array) -> Array:
+        """The trainable values [n] with those moved at which the map is flat, as at a bound that it reaches: by
+        `INSIDE` of the range (of the starting value's size with a single bound), where slopes are known."""
+        flat = np.flatnonzero(self.derivative(u) == 0)
+        natural, out = self.to_natural(torch.from_numpy(u)).numpy().copy(), np.array(u, dtype=np.float64)
+        for i in flat:
+            one = self.each[i]
+            size = INSIDE * (one.high - one.low if one.two_sided else one.scale)
+            natural[i] += size if abs(natural[i] - one.low) <= abs(one.high - natural[i]) else -size
+        out[flat] = self.from_natural(natural)[flat]
+        return out
 
     def ended(self, u: Array, deviations: Array) -> Mask:
         """Which constants [n] with these trainable values, and standard deviations of them, ended at a bound."""

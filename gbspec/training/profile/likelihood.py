@@ -45,6 +45,7 @@ from gbspec.training.profile.agreement import Found, compared, narrowing
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.refits import AGAIN, WEAK, Follower, Refit, Refits
 from gbspec.training.profile.result import Profile, ProfilePoint
+from gbspec.training.profile.said import said_of_better, said_of_bounds
 from gbspec.training.profile.side import Known, Side, closely
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
@@ -89,7 +90,7 @@ def profile_constant(
     found = [best]
     for direction in (-1.0, 1.0):
         found += _side(profiler, best, direction, points, progress)
-    whole = _assembled(name, number, sorted(found, key=lambda one: one.value), profiler)
+    whole = _assembled(name, number, best, sorted(found, key=lambda one: one.value), profiler)
     return _judged(run, whole, profiler.narrowed)
 
 
@@ -328,8 +329,9 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
     return [one for place, one in found.items() if place]
 
 
-def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler) -> Profile:
-    """The profile: deviances relative to the best of all fits, and where they cross the threshold."""
+def _assembled(name: str, member: int, begun: _Fitted, fits: list[_Fitted], profiler: _Profiler) -> Profile:
+    """The profile: deviances relative to the best of all fits, and where they cross the threshold; it has `begun` at
+    the run's fit."""
     least = min(fits, key=lambda one: one.objective)
     points = tuple(
         ProfilePoint(one.value, 2.0 * (one.objective - least.objective) / profiler.variance, profiler.others(one),
@@ -350,6 +352,9 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
         open_sides = [side for side, end, sign in ends if end is None and sign not in profiler.failed]
         notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
         notes += [text for which, side in sides.items() for text in _said_of_gap(which, side, level)]
+    notes += said_of_better(name, points[fits.index(begun)], points[at])
+    for side in sides.values():
+        notes += said_of_bounds(profiler.model, name, points[at].others, side[1:])
     if profiler.holds_measured_starts:
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:

@@ -224,8 +224,9 @@ class _Likelihoods:
 
 
 def _ridge(context: Context) -> float | None:
-    """The inverse variance of the weights' prior, if it was requested; None: the one of greatest evidence."""
-    if not context.options.ridge:
+    """The inverse variance of the weights' prior, if it was requested; None: the one of greatest evidence. Without
+    networks there are no weights, and none is needed."""
+    if not context.options.ridge or not context.model.networks:
         return context.options.ridge
     initial = np.concatenate([v.ravel() for k, v in context.module.weights.items() if k.endswith("weight")])
     return float(1 / (context.options.ridge**2 * np.mean(initial**2)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ from gbspec.training.recipe import (
     unstable_as_learned,
 )
 from gbspec.training.runs.moved_starts import moved_starts
+from gbspec.training.runs.negative_states import negative_states
 from gbspec.training.runs.outlying import Outlying, outlying_rows
 from gbspec.training.stages import StageName
 
@@ -151,7 +152,7 @@ def summarise(
             *stiff_as_learned(context, problem, parameters, theta, fraction, solution.before),
             *moved_starts(model, problem, solution.initial, noise),
         ],
-        beyond=_beyond(model, solution),
+        beyond=_beyond(model, solution, noise),
         own=own,
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
@@ -174,19 +175,18 @@ def _errors(model: Model, problem: Problem, mean: Array, noise_of: _Noise) -> tu
     return rmse, noise
 
 
-def _beyond(model: Model, solution: Moments) -> list[str]:
-    """A sentence of the states whose solutions lie far outside of their declared ranges, and one of those of which the
-    initial values alone do."""
-    solutions, starts = (
-        states_beyond(model, np.where(np.isfinite(values), values, np.nan))
-        for values in (solution.after, solution.initial)
-    )
+def _beyond(model: Model, solution: Moments, noise: Mapping[str, float]) -> list[str]:
+    """A sentence of the states whose solutions lie far outside of their declared ranges, one of those of which the
+    initial values alone do, and one of each that is declared from zero and goes below."""
+    negative = negative_states(model, solution, noise)
+    every = (states_beyond(model, np.where(np.isfinite(a), a, np.nan)) for a in (solution.after, solution.initial))
+    solutions, starts = ([one for one in each if one.most > 0 or one.name not in negative] for each in every)
     names = {one.name for one in solutions}
     return [
         f"in the learned {what}, {text}"
         for what, found in (("solutions", solutions), ("initial states", [s for s in starts if s.name not in names]))
         for text in said_of_ranges(found)
-    ]
+    ] + [*negative.values()]
 
 
 def _beside_tabled(noise: _Noise, problem: Problem, model: Model) -> dict[str, float]:

@@ -11,6 +11,7 @@ from gbspec.training.runs import verdict
 from gbspec.training.runs.minima import found_once, said_of_minima
 from gbspec.training.runs.outlying import said_of_outlying
 from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.unused import said_of_unused
 from gbspec.training.stages import most_iterations
 
 
@@ -33,6 +34,8 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: 
             left += verdict.below_stated(result.noise, model, result.channels, result.freedom, result.tabled)
         parts += [f"member {member}: {text}" for text in (*left, *result.beyond)]
         single += [f"member {member}: {text}" for text in result.tied]
+    if model is not None:
+        single += said_of_unused(options, model, {one.name for result in results.values() for one in result.stages})
     return [*whole, *said_of_minima(results), *found_once(results, options.effort, model), *parts, *single]
 
 
