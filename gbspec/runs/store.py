@@ -138,6 +138,11 @@ class Run:
         value = self.member(number).info.get("max_step")
         return float(value) if isinstance(value, int | float) else None
 
+    def filter_step(self, number: int) -> float | None:
+        """The largest step of a member's filter between two rows, where disturbances are random."""
+        value = self.member(number).info.get("filter_step")
+        return float(value) if isinstance(value, int | float) else self.step(number)
+
     def tolerance(self, number: int) -> float | None:
         """The tolerance of the solver's steps in the last fit of a member; None if they were fixed."""
         value = self.member(number).info.get("tolerance")

@@ -357,6 +357,17 @@ def test_rows_ahead_have_the_uncertainty_of_the_constants(tmp_path: Path) -> Non
     np.testing.assert_allclose(item.sd[-2:, 0] ** 2, far * s**2 + 0.05**2, rtol=0.05)
 
 
+def test_the_module_of_a_linear_model_solves_the_drift(tmp_path: Path) -> None:
+    """The filter's moments are exact from row to row, in one step of the whole span: no step for a solver, which gave
+    1e30 where the level was 177."""
+    text = DRIFT.replace("0.5 in [0.01, 10]", "30 in [20, 400]")
+    model = model_in(tmp_path, text)
+    run = train(model, data_in(tmp_path, model), FAST, tmp_path / "run")
+    theta, mu, times = run.fit.constants["theta"].value, run.fit.constants["mu"].value, np.array([0.0, 0.05, 1.0, 30.0])
+    found = run.member(run.best).simulate(np.array([mu + 2.0]), times)[:, 0].numpy()
+    np.testing.assert_allclose(found, mu + 2 * np.exp(-theta * times), rtol=1e-4, atol=1e-4)
+
+
 DRIFT = PROCESS.split("truth")[0]
 STEPPED = DRIFT.replace("theta*(mu - X)", "theta*(mu - X^3)")
 FORCED = DRIFT.replace("theta*(mu - X)", "theta*(mu*(1 + 0.2*sin(20*t)) - X)")

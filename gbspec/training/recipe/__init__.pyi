@@ -26,6 +26,7 @@ from .stiffness import at_stable_step as at_stable_step
 from .stiffness import chosen_solver as chosen_solver
 from .stiffness import prepared as prepared
 from .stiffness import solver_of as solver_of
+from .stiffness import step_of_drift as step_of_drift
 from .stiffness import stiff_as_learned as stiff_as_learned
 from .stiffness import unstable_as_learned as unstable_as_learned
 from .weighing import CLEAN as CLEAN

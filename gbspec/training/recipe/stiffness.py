@@ -47,6 +47,8 @@ all draws must be solved by the stiff one alone."""
 REFINED = 16.0
 """Up to so many times the limit a population takes smaller explicit steps: a step that is merely long for a decay does
 not make equations stiff, and the derivatives that its likelihood needs take far longer with the stiff solver."""
+ACCURATE = 0.2
+"""Step times rate up to which a step of `rk4` follows a decay to a few millionths."""
 LOOKED_AT = 8
 """Most trajectories that are looked at."""
 MOST_ROWS = 2000
@@ -186,6 +188,14 @@ def decays(context: Context, parameters: Parameters, theta: Array) -> Array:
     have no finite derivatives are left out."""
     problem, states = _at_data(context, parameters, theta)
     return _fastest(problem, parameters, theta, states, np.arange(problem.packed.rows))
+
+
+def step_of_drift(context: Context, parameters: Parameters, theta: Array) -> float:
+    """A step by which the drift of a linear model with disturbances is solved well: its filter needs no such step, as
+    its moments are exact from row to row."""
+    usual = default_max_step(context.trajectories)
+    product = usual * float(decays(context, parameters, theta).max(initial=0.0))
+    return usual * 0.5 ** max(0, int(np.ceil(np.log2(product / ACCURATE)))) if product > 0 else usual
 
 
 def growth(context: Context, parameters: Parameters, theta: Array) -> tuple[float, float]:

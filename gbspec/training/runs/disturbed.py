@@ -11,6 +11,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.data import variance_of
 from gbspec.files import finite
+from gbspec.ir import linear_in_states
 from gbspec.runs import (
     NORMAL_90,
     Certainties,
@@ -25,7 +26,15 @@ from gbspec.runs import (
 from gbspec.training.engines import GONE, Filtered, FilterEngine, filter, whiteness
 from gbspec.training.optimise import at_maximum, widest
 from gbspec.training.problem import Parameters, autocorrelation_of, in_time
-from gbspec.training.recipe import Context, filter_of, held_out_filter, stiff_as_learned, whole_vector
+from gbspec.training.recipe import (
+    Context,
+    filter_of,
+    held_out_filter,
+    step_fraction,
+    step_of_drift,
+    stiff_as_learned,
+    whole_vector,
+)
 from gbspec.training.runs import certainties as of_squares
 from gbspec.training.runs import summary
 from gbspec.training.runs.small_noise import said_of_small_noises
@@ -89,6 +98,14 @@ def summarise(
             *said_of_small_noises(engine, found, vector, told),
         ],
     )
+
+
+def steps_of(context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]) -> dict[str, float | None]:
+    """What a weights file says of steps: those of solutions, and of the filter where these are others."""
+    found = context.steps(step_fraction(stages))
+    if not context.model.diffusions or linear_in_states(context.model) is None or context.adaptive:
+        return found
+    return found | {"max_step": step_of_drift(context, parameters, theta), "filter_step": found["max_step"]}
 
 
 def _root_mean_square(values: Array) -> float:

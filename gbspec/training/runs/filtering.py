@@ -204,7 +204,7 @@ def filter_run(
     """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used, and
     none that are `hidden` (for each trajectory a mask of its rows). `max_step`: its largest step, else the fit's."""
     instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
-    step = run.step(member) if max_step is None else max_step
+    step = run.filter_step(member) if max_step is None else max_step
     tolerance = run.tolerance(member)
     options = TrainOptions(backend="torch", device="cpu", max_step=step, solver=run.fit.solver, tolerance=tolerance)
     context = build_context(run.model, run.module, trajectories, options, 0)

@@ -36,7 +36,7 @@ from gbspec.training.recipe import (
 from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
-from gbspec.training.runs.disturbed import certainties, summarise
+from gbspec.training.runs.disturbed import certainties, steps_of, summarise
 from gbspec.training.runs.ended_early import LIKELIHOODS, NO_FITS, said_of_end
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_certainty
@@ -342,7 +342,7 @@ class _Runner:
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
-            **self.context.steps(step_fraction(names)),
+            **steps_of(self.context, self.parameters, position.best, names),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
