@@ -44,6 +44,26 @@ def test_options_that_a_fit_did_not_use_are_named() -> None:
     assert said_of_unused(TrainOptions(), population, set()) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "stages", "unused", "of_population"),
+    [
+        (TrainOptions(epochs=5), set(), ["--epochs"], ["--epochs"]),
+        (TrainOptions(method="lm", epochs=5), set(), [], ["--method", "--epochs"]),
+        (TrainOptions(forcing="autoregressive"), set(), [], ["--forcing"]),
+        (TrainOptions(initial="bred"), set(), ["--initial"], ["--initial"]),
+        (TrainOptions(initial="bred"), {"bred initial states"}, [], []),
+    ],
+)
+def test_options_of_least_squares_are_none_of_likelihoods(
+    options: TrainOptions, stages: set[str], unused: list[str], of_population: list[str]
+) -> None:
+    for model, expected in (
+        (model_of(DECAY.format(more="", noise="")), unused),
+        (model_of(DECAY.format(more=OWN, noise=" noise normal(0.02)")), of_population),
+    ):
+        assert [text.split("`")[1] for text in said_of_unused(options, model, stages)] == expected
+
+
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_rows_thousands_of_times_of_decay_apart_give_no_warnings_of_numpy(tmp_path: Path) -> None:
     run = train(model_of(DECAY.format(more="", noise="")), decays(1000.0), TrainOptions(workers=1), tmp_path / "run")
