@@ -20,17 +20,21 @@ DEVIATIONS = 2.0
 """Of a measured state they count from so many standard deviations of the noise on."""
 
 
-def below_zero(model: Model, states: Array, noise: Mapping[str, float] | None = None) -> dict[str, float]:
+def below_zero(
+    model: Model, states: Array, noise: Mapping[str, float] | None = None, among: Array | None = None
+) -> dict[str, float]:
     """The lowest value of each state that is declared from 0 and has values [rows, states] clearly below it; `noise`
-    has standard deviations of channels by name."""
+    has standard deviations of channels by name. `among`: the values that tell the sizes of states, else the same."""
     allowed = np.zeros(len(model.states))
     for channel in model.channels:
         if channel.state is not None:
             allowed[channel.state] = DEVIATIONS * np.nan_to_num((noise or {}).get(channel.name, 0.0))
     found = {}
-    for state, column, least in zip(model.states, states.T, allowed, strict=True):
+    every = states if among is None else among
+    for state, column, all_values, least in zip(model.states, states.T, every.T, allowed, strict=True):
         known = column[np.isfinite(column)]
-        size = max(SHARE * float(np.abs(known).max(initial=0.0)), float(least))
+        largest = float(np.abs(all_values[np.isfinite(all_values)]).max(initial=0.0))
+        size = max(SHARE * largest, float(least))
         if state.range is not None and state.range.low == 0.0 and float(known.min(initial=0.0)) < -size:
             found[state.name] = float(known.min())
     return found

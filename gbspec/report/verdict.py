@@ -25,6 +25,8 @@ FUNCTION_CERTAIN, FUNCTION_VAGUE = 0.1, 0.3
 """Half a function's 90 % band, or the spread of its members, relative to its range over the data."""
 HARDLY = "The data hardly determine"
 """The beginning of a doubt about a constant or a function that makes the whole a matter of reservations."""
+NO_EFFECT = "` had no effect: "
+"""What a warning of an option has that a fit did not use."""
 BADLY = re.compile(r"Whole solutions follow `[^`]+` badly")
 """The beginning of a fit's warning of a channel, which is not repeated where its errors on the data say the same."""
 ADVICE = re.compile(
@@ -65,6 +67,7 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
         off = number(100 * check.half_step, 2)
         good.append(f"Smaller steps change predictions from row to row by at most {off} % of the states' ranges.")
     warnings = [*found.warnings_after(run.fit.warnings), *profile_verdicts(run)]
+    warnings = [text for text in warnings if NO_EFFECT not in text]  # says nothing of the fit
     for warning in warnings:
         if len(run.numbers) == 1:
             warning = re.sub(r"^member \d+: ", "", warning)

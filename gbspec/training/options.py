@@ -61,7 +61,8 @@ class TrainOptions:
         default="auto",
         metadata={
             "help": "Whether steps end where right-hand sides switch (`if`, `max`, `min`, `abs`, `sign` of states): "
-            "`auto` where the step's error shows, and ending there is why it falls; `on` from the first step."
+            "`auto` where solutions pass jumps, or the step's error shows that, and in likelihoods; `on` from the "
+            "first step."
         },
     )
     method: Method = field(

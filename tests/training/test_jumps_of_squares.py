@@ -77,3 +77,12 @@ def test_a_constant_that_ended_at_a_jump_has_no_interval(tmp_path: Path) -> None
     assert run.constants["t0"] == pytest.approx(3.5, abs=1e-6)
     assert "`t0` ended at 3.5, where the sum of squares jumps" in " ".join(fit["warnings"])
     assert fit["constants"]["t0"]["interval"] is None
+
+
+def test_exact_data_jump_nowhere() -> None:
+    """Their sum of squares is of the size of rounding, and changes by any part of itself."""
+    model = model_of(TEXT)
+    exact = np.exp(-0.4 * TIMES) + np.where(TIMES > 3.4, np.exp(-0.4 * (TIMES - 3.4)), 0.0)
+    data = Trajectories((trajectory("1", 0.0, TIMES, np.round(exact, 7)[:, None], []),), ("x",))
+    ready = prepare(model, load_module(model, RK4), data, TrainOptions(solver="rk4", max_step=0.1), 0)
+    assert at_jumps(ready.context.engine(ready.parameters, 0.0), with_constants(ready, 0.4, 3.4)) == []

@@ -41,6 +41,8 @@ def test_a_start_below_zero_is_told_with_the_constant_that_keeps_it() -> None:
     assert "`learn S_2 : mm = 100 in [0, 1000]`" in found["S"] and "`initial S = S_2`" in found["S"]
     text = negative_states(MODEL, solution(-rows, np.array([[3.0, 1.0, 1.0]])), {"x": 5.0})["S"]
     assert "the learned solutions take `S` to -140" in text
+    text = negative_states(MODEL, solution(-rows, np.array([[-1e-6, 1.0, 1.0]])), {"x": 5.0})["S"]
+    assert "the learned solutions take `S` to -140" in text, "a start of -1e-6 is not why"
 
 
 def test_what_differs_between_solvers_is_put_down_to_negative_states() -> None:

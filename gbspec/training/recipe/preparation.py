@@ -92,6 +92,7 @@ def _from_other_constants(found: Prepared) -> Prepared:
     model, learnables = context.model, context.model.learnables
     values = int((context.packed().weights > 0).sum())
     plain = bool(learnables and model.networks) and not (model.distributed or model.diffusions)
+    plain = plain and context.options.method == "auto" and context.options.ridge is None
     if not plain or values >= FEW or not found.loss > UNLIKE:
         return found
     drawn = spread_over_ranges(learnables, sobol(PLACES, len(learnables), context.seed))

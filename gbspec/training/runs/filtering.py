@@ -120,7 +120,8 @@ class FilteredRun:
         for _, constants in training.displacements(np.random.default_rng(67), PAIRS) if self.finite else []:
             by = dict(zip(training.constants, constants, strict=True))
             change = np.zeros(len(self.vector))
-            change[places] = SHORTENED * np.array([by.get(name, 0.0) for name in names]) / slopes
+            shifts = SHORTENED * np.array([by.get(name, 0.0) for name in names])
+            change[places] = np.divide(shifts, slopes, out=np.zeros_like(shifts), where=slopes > 0)  # 0: at a bound
             ends = [self.vector + change, self.vector - change]
             found = [self.engine.filtered(end, self.found.seen) for end in ends]
             if all(one.finite for one in found):

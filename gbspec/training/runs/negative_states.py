@@ -21,8 +21,8 @@ def negative_states(model: Model, solution: Moments, noise: Mapping[str, float])
 
     Of the measured states only what is below zero by more than the noise counts.
     """
-    starts = below_zero(model, solution.initial, noise)
-    along = below_zero(model, np.concatenate([solution.initial, solution.after]), noise)
+    every = np.concatenate([solution.initial, solution.after])
+    starts, along = (below_zero(model, values, noise, every) for values in (solution.initial, every))
     found = {}
     for state in model.states:
         name = state.name
