@@ -139,9 +139,9 @@ def test_a_problem_has_the_same_likelihood_again(tmp_path: Path, case: tuple[str
     found = import_file(tmp_path / "out" / "problem.yaml", tmp_path / "again")
     assert found.data is not None
     after = gbspec.evaluate(found.model, found.data)
-    assert after.nllh == pytest.approx(before.nllh, rel=1e-8)
+    assert after.nllh == pytest.approx(before.nllh, rel=1e-7)  # how accurate `evaluate` is
     for name, slope in before.gradient.items():
-        assert after.gradient[name] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+        assert after.gradient[name] == pytest.approx(slope, rel=1e-5, abs=1e-6, nan_ok=True)
 
 
 def test_networks_are_formulas(tmp_path: Path) -> None:

@@ -37,8 +37,6 @@ def settle(family: Family, value: float, start: Array, samples: int = 400) -> Se
     point. The period is the time between two crossings of a hyperplane transverse to the flow, after as many crossings
     as it takes to return to the same point.
     """
-    from scipy.integrate import solve_ivp
-
     n = family.size
 
     def rhs(_: float, x: Array) -> Array:
@@ -48,14 +46,13 @@ def settle(family: Family, value: float, start: Array, samples: int = 400) -> Se
         return family.linear(x, value)[1].reshape(n, n)
 
     scale = family.system.scale
-    astray = _astray(scale)
     x = start
     span = 50.0 * _time_scale(jacobian(0.0, x))
     for _ in range(ROUNDS):
-        solution = solve_ivp(rhs, (0.0, span), x, "LSODA", rtol=1e-6, atol=1e-9 * scale, jac=jacobian, events=astray)
-        if solution.status != 0 or not np.isfinite(solution.y[:, -1]).all():
+        end = _followed(rhs, jacobian, x, span, scale)
+        if end is None:
             return None
-        x = solution.y[:, -1]
+        x = end
         if np.linalg.norm(rhs(0.0, x) / scale) * span < 1e-6:
             return None
         orbit = _returned(rhs, jacobian, x, span, scale, samples)
@@ -65,15 +62,17 @@ def settle(family: Family, value: float, start: Array, samples: int = 400) -> Se
     return None
 
 
-def _astray(scale: Array) -> Field:
-    """A terminal event: a solution goes so far off that it is on no orbit, as one that blows up in finite time, which
-    would otherwise be followed by ever shorter steps."""
+def _followed(rhs: Field, jacobian: Field, x: Array, span: float, scale: Array) -> Array | None:
+    """Where the flow leads within a time; None where it goes so far off that it is on no orbit, as a solution that
+    blows up in finite time, which would otherwise be followed by ever shorter steps."""
+    from scipy.integrate import LSODA
 
-    def margin(_: float, x: Array) -> Array:
-        return np.asarray(FARTHEST - np.max(np.abs(x / scale)))
-
-    margin.terminal = True  # type: ignore[attr-defined]  # scipy's way
-    return margin
+    solver = LSODA(rhs, 0.0, x, span, rtol=1e-6, atol=1e-9 * scale, jac=jacobian)
+    while solver.status == "running":
+        solver.step()
+        if solver.status == "failed" or not np.max(np.abs(solver.y / scale)) < FARTHEST:
+            return None
+    return np.asarray(solver.y)
 
 
 def _time_scale(jacobian: Array) -> float:
@@ -91,10 +90,9 @@ def _returned(rhs: Field, jacobian: Field, x: Array, span: float, scale: Array, 
     flow = rhs(0.0, x) / scale
     normal = flow / np.linalg.norm(flow)
     solution = solve_ivp(
-        rhs, (0.0, span), x, "LSODA", rtol=TOLERANCE, atol=1e-10 * scale, jac=jacobian, dense_output=True,
-        events=_astray(scale),
-    )  # fmt: skip
-    if solution.status != 0:
+        rhs, (0.0, span), x, "LSODA", rtol=TOLERANCE, atol=1e-10 * scale, jac=jacobian, dense_output=True
+    )
+    if not solution.success:
         return None
 
     def across(time: float) -> float:
