@@ -16,6 +16,7 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from gbspec.ir import Event, Expr, Model, Switch, in_language, ordered, symbol
+from gbspec.passes.continuity import jumping
 
 MOST = 16
 """With more switches steps are not cut: each costs two more conditions in every sub-step."""
@@ -30,14 +31,21 @@ class Switched:
     """A Model whose steps end where its right-hand sides switch, None where that is not offered or there is nothing to
     cut at; then `reason` says why, and is empty if nothing switches. `skipped`: switches at which no step ends.
 
-    `jumps`: whether a right-hand side may jump at one of all these, not only have a kink. What moves the time of a jump
-    moves the solution, which derivatives know only where steps end there.
+    `jumps`: whether a right-hand side may jump, not only have a kink, where steps end, or anywhere if there is a
+    `reason` why none do. `skipped_jumps`: those of `skipped` at which it may jump. What moves the time of a jump moves
+    the solution, which derivatives know only where steps end there.
     """
 
     model: Model | None
     reason: str = ""
     skipped: tuple[str, ...] = ()
     jumps: bool = False
+    skipped_jumps: tuple[str, ...] = ()
+
+    @property
+    def unknown_jumps(self) -> str:
+        """Why steps end not at all jumps of the right-hand sides, or at which they do not; empty if they do."""
+        return (self.reason if self.jumps else "") or "; ".join(self.skipped_jumps)
 
 
 def with_switches(model: Model) -> Switched:
@@ -47,14 +55,15 @@ def with_switches(model: Model) -> Switched:
         return Switched(None)
     rewriting = _Rewriting(model)
     balances = rewriting.balances()
+    skipped, jumps = tuple(rewriting.skipped), tuple(said for said, jumps in rewriting.skipped.items() if jumps)
     if not rewriting.switches:
-        return Switched(None, "", tuple(rewriting.skipped), rewriting.jumps)
+        return Switched(None, "", skipped, False, jumps)
     reason = _refused(model, len(rewriting.switches))
     if reason:
-        return Switched(None, reason, (), rewriting.jumps)
+        return Switched(None, reason, (), rewriting.jumps or bool(jumps))
     events = (*model.events, *(event for each in rewriting.switches for event in _events(each)))
     cut = replace(model, balances=balances, events=events, switches=tuple(rewriting.switches), claims=())
-    return Switched(cut, "", tuple(rewriting.skipped), rewriting.jumps)
+    return Switched(cut, "", skipped, rewriting.jumps, jumps)
 
 
 def _events(switch: Switch) -> tuple[Event, Event]:
@@ -80,11 +89,12 @@ def _refused(model: Model, count: int) -> str:
 
 @dataclass
 class _Rewriting:
-    """The balances with their switches held; `_known` holds what was rewritten."""
+    """The balances with their switches held; `_known` holds what was rewritten. `jumps`: whether a right-hand side may
+    jump at one of the `switches`; of what is `skipped`, whether it may there."""
 
     model: Model
     switches: list[Switch] = field(default_factory=list)
-    skipped: list[str] = field(default_factory=list)
+    skipped: dict[str, bool] = field(default_factory=dict)
     jumps: bool = False
     _known: dict[sympy.Basic, sympy.Basic] = field(default_factory=dict)
     _sides: dict[Expr, sympy.Symbol] = field(default_factory=dict)
@@ -95,6 +105,7 @@ class _Rewriting:
         moving |= {item.symbol for item in model.algebraics} | {item.symbol for item in model.delays}
         self._moving = moving | {item.symbol for item in model.inputs if item.interpolation == "linear"}
         self._learned = {item.symbol for item in model.learnables}
+        self._jumping = jumping(model)
 
     def balances(self) -> tuple[Expr, ...]:
         """All right-hand sides; intermediates that hold switches are written out in them, since channels and events see
@@ -124,12 +135,12 @@ class _Rewriting:
             return _choice(1, side > 0, _choice(-1, side < 0, 0))
         if isinstance(node, _ABOVE + _BELOW):
             turn = 1 if isinstance(node, _ABOVE) else -1
-            if (side := self._side(turn * (parts[0] - parts[1]), turn * (held[0] - held[1]), jumps=True)) is not None:
+            guard, other, jumps = turn * (parts[0] - parts[1]), turn * (held[0] - held[1]), node in self._jumping
+            if (side := self._side(guard, other, jumps=jumps)) is not None:
                 strict = isinstance(node, sympy.StrictGreaterThan | sympy.StrictLessThan)
                 return (sympy.StrictGreaterThan if strict else sympy.GreaterThan)(side, 0, evaluate=False)
         if isinstance(node, _ROUNDED) and self._moves(self.model.inlined([parts[0]])[0]):
-            self._skip(f"`{in_language(node)}` jumps")
-            self.jumps = True
+            self._skip(f"`{in_language(node)}` jumps", jumps=True)
         return node if tuple(held) == node.args else node.func(*held)
 
     def _extreme(
@@ -150,8 +161,8 @@ class _Rewriting:
         free = inlined.free_symbols
         return bool(free & self._moving or (self.model.time.symbol in free and free & self._learned))
 
-    def _skip(self, said: str) -> None:
-        self.skipped += [said] * (said not in self.skipped)
+    def _skip(self, said: str, *, jumps: bool) -> None:
+        self.skipped[said] = self.skipped.get(said, False) or jumps
 
     def _side(self, guard: Expr, held: Expr, *, jumps: bool = False) -> Expr | None:
         """What is positive on one side of the switch where `guard` passes zero (`held`: as it is where other switches
@@ -159,12 +170,12 @@ class _Rewriting:
         inlined = self.model.inlined([guard])[0]
         if not self._moves(inlined):
             return None
-        self.jumps = self.jumps or jumps
         unknown = inlined.atoms(AppliedUndef)
         if unknown or inlined.has(*_ROUNDED):
             reason = "an unknown function decides" if unknown else "`floor`, `ceil` or `mod` decides"
-            self._skip(f"{reason} in `{in_language(guard)}`")
+            self._skip(f"{reason} in `{in_language(guard)}`", jumps=jumps)
             return None
+        self.jumps = self.jumps or jumps
         if -guard in self._sides:
             return held - self._sides[-guard]
         if guard not in self._sides:

@@ -194,3 +194,21 @@ def test_derivatives_that_are_not_known_are_not_given(here: Path, gbspec: Run, d
     said = gbspec("evaluate", "jump.gb", "data.csv")
     assert "GB893" in said.stderr and "the model has delays" in said.stderr
     assert "d nllh/d k is not known" in said.stdout
+
+
+NEVER = JUMP.replace("if(t < tau, 0.5, 1) - k*if(x > a, 1, 2)*x", "0.1*tau - k*if(x > 0, x/(a + x), 0)")
+LATE = NEVER.replace("a + x), 0)", "a + x), 0) + 0.01*delay(x, 0.5)\nhistory x = 3")
+BESIDE = JUMP.replace("*x\n", "*x + 0.1*max(x, mod(t, 2))\n")
+
+
+@pytest.mark.parametrize("text", [NEVER, LATE, BESIDE], ids=["a kink", "a kink beside a delay", "a kink beside a jump"])
+def test_derivatives_at_kinks_are_known(here: Path, gbspec: Run, text: str) -> None:
+    """Where branches agree there is no jump; and steps end at a jump whatever else has a kink."""
+    (here / "kink.gb").write_text(text)
+    (here / "data.csv").write_text(FALL)
+    model, data, at = package.load("kink.gb"), "data.csv", {"k": 0.7, "a": 1.8, "tau": 1.3}
+    gradient = model.evaluate(data, values=at).gradient
+    for place, known in gradient.items():
+        near = [model.evaluate(data, values={**at, place: at[place] + step}).nllh for step in (1e-4, -1e-4)]
+        assert known == pytest.approx((near[0] - near[1]) / 2e-4, rel=1e-3)
+    assert "GB893" not in gbspec("evaluate", "kink.gb", "data.csv").stderr

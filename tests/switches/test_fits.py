@@ -36,6 +36,7 @@ initial h = 0.2
 observe h
 """
 RIM, Q = 1.07, 0.8
+KNOWN = TANK.replace("learn rim = 1.2 in [0.5, 2]\n", "").replace("rim", str(RIM))
 FAST = TrainOptions(workers=1, effort="low", backend="native")
 
 
@@ -79,6 +80,36 @@ def test_a_run_that_was_stopped_resumes_with_cut_steps_and_is_profiled_with_them
     found = profile_constant(whole, "rim", DATA, points=4)  # other steps would have their minimum elsewhere
     assert found.low is not None and found.high is not None
     assert RIM - 1e-5 < found.low < found.high < RIM + 1e-5
+
+
+def test_a_resumed_run_gives_the_same_reason_for_cut_steps(tmp_path: Path) -> None:
+    known = model_of(KNOWN)
+    with pytest.raises(KeyboardInterrupt):
+        train(known, DATA, FAST, tmp_path / "run", AtTheCut())
+    resumed = train(known, DATA, replace(FAST, resume=True), tmp_path / "run")
+    (stage,) = [stage for stage in resumed.fit.members[0].stages if stage.name == "cut steps"]
+    assert stage.remark is not None and stage.remark.endswith("other steps have no derivatives of the times of jumps")
+
+
+@pytest.mark.parametrize(
+    "balance",
+    [
+        "2 - 0.01*max(h, mod(t, 2)) - if(h > 1.07, q, 0.2)*h",
+        "2 - q*if(h > 0, h/(1 + h), 0) - 0.01*delay(h, 1)\nhistory h = 0.2",
+    ],
+)
+def test_derivatives_at_kinks_leave_nothing_out(tmp_path: Path, balance: str) -> None:
+    text = KNOWN.replace(f"2 - if(h > {RIM}, q, 0.2)*h", balance)
+    run = train(model_of(text), DATA, replace(FAST, epochs=1, method="lm", switches="on"), tmp_path / "run")
+    assert any("switch" in said for said in run.fit.warnings)
+    assert not [said for said in run.fit.warnings if "Derivatives leave out" in said]
+
+
+def test_jumps_that_no_stage_reached_are_told(tmp_path: Path) -> None:
+    known = model_of(KNOWN)
+    run = train(known, DATA, replace(FAST, epochs=1, method="lm"), tmp_path / "run")
+    (said,) = [text for text in run.fit.warnings if "where right-hand sides jump" in text]
+    assert "has no stage `cut steps`" in said
 
 
 def test_steps_stay_as_they_are_when_told_so(tmp_path: Path) -> None:

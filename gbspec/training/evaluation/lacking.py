@@ -24,9 +24,9 @@ class Lacking:
         The time of a jump moves with all that moves the solution. Residuals at modes, and a filter's variances, then
         depend on everything.
         """
-        reason = switched.reason or "; ".join(switched.skipped)
-        reason = reason or ("solutions slide along such a place, or touch it" if slides else "")
-        if not (switched.jumps and reason):
+        sliding = "solutions slide along such a place, or touch it" if slides and switched.jumps else ""
+        reason = switched.unknown_jumps or sliding
+        if not reason:
             return cls()
         integral = model.distributed or model.diffusions
         names = (*(k.name for k in model.learnables), *(k.name for k in model.implied))

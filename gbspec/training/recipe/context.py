@@ -150,9 +150,9 @@ class Context:
         """The model whose steps end where its right-hand sides switch."""
         return self._cut[0]
 
-    def cut(self) -> Context:
-        """The same, with steps that end where right-hand sides switch."""
-        out = replace(self, cutting=True)
+    def cut(self, cutting: bool = True) -> Context:
+        """The same, with steps that end where right-hand sides switch; without if not `cutting`."""
+        out = replace(self, cutting=cutting)
         out.__dict__["_cut"] = self._cut  # generated once
         return out
 

@@ -13,6 +13,7 @@ from gbspec.arrays import Array
 from gbspec.ir import Model, Steady, Unknown, in_language
 from gbspec.training.engines import Engine, happened, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, Stage
+from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.finer import FinerStep, LastFit, continuing, step_shows
@@ -23,7 +24,7 @@ WORTH = 0.25
 """Steps are cut where that divides the effect of half the step by at least four: switches are the reason then."""
 
 _LACKING = (
-    ". Derivatives leave out how the times of jumps move: where solutions pass such jumps the fit may rest beside the "
+    ". Derivatives leave out how the times of jumps there move: where solutions pass them the fit may rest beside the "
     "best values, and intervals may be wrong"
 )
 PASSED = 1e-9
@@ -76,10 +77,11 @@ def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effor
 
 
 def _passes_jumps(context: Context, layout: Parameters, blend: float, theta: Array, size: float) -> bool:
-    """Whether solutions pass switches, so that cut steps differ, and right-hand sides may jump there."""
+    """Whether solutions pass switches, so that cut steps differ, and right-hand sides may jump there. A run that
+    resumes has cut steps already."""
     if not context.switched.jumps or context.switched.model is None:
         return False
-    now, cut = (each.engine(layout, blend, size) for each in (context, context.cut()))
+    now, cut = (each.engine(layout, blend, size) for each in (context.cut(False), context.cut()))
     with np.errstate(all="ignore"):
         change = np.abs(residual_table(cut, theta) - residual_table(now, theta))[now.problem.seen]
     return bool((change > PASSED).any())
@@ -174,30 +176,37 @@ def said_of_switches(context: Context, parameters: Parameters, theta: Array, sta
     """Sentences about the switches of right-hand sides at the end of a fit."""
     switched, options = context.switched, context.options
     skipped = f" ({'; '.join(switched.skipped)})" if switched.skipped else ""
+    unknown = switched.unknown_jumps
+    lacking = _LACKING if unknown else ""
     if context.cutting:
-        said = [f"steps do not end at all switches of right-hand sides{skipped}{_LACKING}"] if skipped else []
-        return said + _uncut(context.engine(parameters, 0.0, step_fraction(stages)), theta)
-    why = switched.reason or (f"nothing to cut at{skipped}" if skipped else "")
-    lacking = _LACKING if switched.jumps else ""
+        said = [f"steps do not end at all switches of right-hand sides{skipped}{lacking}"] if skipped else []
+        return said + _uncut(context.engine(parameters, 0.0, step_fraction(stages)), theta, switched.jumps)
     if options.switches == "on":
-        why = why or "no right-hand side switches"
+        why = switched.reason or (f"nothing to cut at{skipped}" if skipped else "no right-hand side switches")
         return [f"`--switches on`: steps do not end where right-hand sides switch: {why}{lacking}"]
-    if lacking and why:
-        return [f"steps do not end where right-hand sides jump: {why}{lacking}"]
-    if not _passes_jumps(context, parameters, 0.0, theta, step_fraction(stages)):
-        return []
-    asked = "`--switches off`" if options.switches == "off" else f"the stage `{StageName.CUT}` was not asked for"
-    return [f"steps do not end where right-hand sides jump: {asked}{lacking}"]
+    reasons = [unknown] if unknown else []
+    if _passes_jumps(context, parameters, 0.0, theta, step_fraction(stages)):
+        reasons.append(_without_stage(options))
+    return [f"steps do not end where right-hand sides jump: {'; '.join(reasons)}{_LACKING}"] if reasons else []
 
 
-def _uncut(engine: Engine, theta: Array) -> list[str]:
-    """A sentence where solutions slide along a switch, or touch it, so that steps go across it."""
+def _without_stage(options: TrainOptions) -> str:
+    """Why no steps end at jumps although they could."""
+    if options.switches == "off":
+        return "`--switches off`"
+    asked = not options.named_stages or StageName.CUT in options.named_stages
+    return f"the fit has no stage `{StageName.CUT}`" if asked else f"`--stages` does not name `{StageName.CUT}`"
+
+
+def _uncut(engine: Engine, theta: Array, jumps: bool) -> list[str]:
+    """A sentence where solutions slide along a switch, or touch it, so that steps go across it; `jumps`: whether
+    right-hand sides may jump at switches."""
     found = happened(engine, theta)
     count = 0 if found is None else int(found.uncut.sum())
     if not count:
         return []
     return [
         f"{count} of {engine.problem.packed.substeps} steps go across a switch of the right-hand sides, since "
-        "solutions slide along it or touch it: there they are as exact as without `--switches`, and derivatives may "
-        "leave out how its times move"
+        "solutions slide along it or touch it: there they are as exact as without `--switches`"
+        + (", and derivatives may leave out how its times move" if jumps else "")
     ]
