@@ -167,7 +167,9 @@ class _Runner:
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> bool:
         """Whether the stage was due. One that was not leaves nothing to save: a resumed run decides the same again."""
         position = self.position
-        begun, weights = [stage.name for stage in position.stages], self.context.estimated
+        # A stage that goes on is the last of the records: it is made again from those before it, as at its beginning.
+        before = position.stages[:-1] if position.iteration else position.stages
+        begun, weights = [stage.name for stage in before], self.context.estimated
         if position.iteration == 0:
             if not planned.due(self._reached(position.theta, begun)):
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
