@@ -163,8 +163,11 @@ def _compared(run: Run) -> Compared:
     population = run.fit.population
     if population is not None:
         if population.minus2ll is None or not population.maximum:
-            message = f"the likelihood of `{run.path}` is not at its maximum: the stage that seeks it ended early"
-            help_text = "`gbspec report` and the warnings of the run say why; maxima are compared"
+            why = "it is not a finite number" if population.maximum else population.reason
+            message = f"the likelihood of `{run.path}` is not at its maximum: {why}"
+            help_text = "`gbspec report` and the warnings of the run say more; maxima are compared"
+            if population.held:
+                help_text = "fit it without `--holdout`: maxima are compared"
             raise UserError([Diagnostic("GB775", message, None, help=help_text)])
         return Compared(
             str(run.path),
@@ -182,17 +185,28 @@ def _compared(run: Run) -> Compared:
             "disturbances (`diffusion`) are"
         )
         raise UserError([Diagnostic("GB775", message, None, help=help_text)])
-    if run.model.networks:
-        message = (
-            f"`{run.path}` has unknown functions, whose weights have a prior: it is not at a maximum of likelihood"
-        )
-        help_text = "`gbspec crossvalidate` compares models with `diffusion` and unknown functions"
-        raise UserError([Diagnostic("GB775", message, None, help=help_text)])
-    if found.least is None or found.aic is None or found.bic is None:
-        message = f"`{run.path}` does not have the maximum of its likelihood"
-        help_text = "fit it again: it is of an older version of gbspec, or its filter is not finite"
-        raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+    _check_maximum(run, found)
+    assert found.least is not None and found.aic is not None and found.bic is not None
     return Compared(str(run.path), run.model.name, found.least, found.parameters, found.aic, found.bic)
+
+
+def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
+    """Raises UserError (GB775) where the likelihood of innovations is not known at its maximum."""
+    help_text = "`gbspec crossvalidate` compares models with `diffusion`, unknown functions and priors"
+    if run.model.networks:
+        said = "has unknown functions, whose weights have a prior: it is not at a maximum of likelihood"
+    elif any(learnable.prior is not None for learnable in run.model.learnables):
+        said = "has constants with a prior: it is not at a maximum of likelihood"
+    elif None not in (found.least, found.aic, found.bic):
+        return
+    elif found.minus2ll is None:
+        said, help_text = "has a likelihood that is not a finite number", "the warnings of the run say more"
+    elif found.aic is None:  # what a range of a state says of a start that is learned
+        said = "has starts with a prior (states with a range): it is not at a maximum of likelihood"
+    else:
+        said = "does not have the maximum of its likelihood"
+        help_text = "fit it again: it is of an older version of gbspec"
+    raise UserError([Diagnostic("GB775", f"`{run.path}` {said}", None, help=help_text)])
 
 
 def _innovations(run: Run) -> LikelihoodRecord | None:

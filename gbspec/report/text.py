@@ -229,7 +229,7 @@ def population_lines(run: Run) -> list[str]:
         rows.append([name, one.distribution, number(one.median, 6), number(one.sd, 4), between, shrinkage])
     way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
     value = "not a finite number" if found.minus2ll is None else f"{found.minus2ll:.4f}"
-    ended = "" if found.maximum else ", not at its maximum: the stage that seeks it ended early"
+    ended = "" if found.maximum else f", not at its maximum: {found.reason}"
     said = f"-2 log likelihood {value} ({way}{ended}), {found.parameters:.4g} parameters"
     if found.aic is not None and found.bic is not None:
         said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
@@ -252,11 +252,16 @@ def population_lines(run: Run) -> list[str]:
 
 
 def innovations_line(run: Run) -> list[str]:
-    """The likelihood of the best member's innovations, at its maximum; nothing for other runs."""
+    """The likelihood of the best member's innovations, at its maximum, or where that is not known at the estimates;
+    nothing for other runs."""
     found = run.fit.members[run.numbers.index(run.best)].likelihood if run.fit.members else None
-    if found is None or found.least is None or found.aic is None or found.bic is None:
+    value = None if found is None else found.minus2ll if found.least is None else found.least
+    if found is None or value is None:
         return []
-    said = f"-2 log likelihood {found.least:.4f} (innovations; at its maximum), {found.parameters} parameters"
+    where = "at the estimates" if found.least is None else "at its maximum"
+    said = f"-2 log likelihood {value:.4f} (innovations; {where}), {found.parameters} parameters"
+    if found.aic is None or found.bic is None:
+        return [said]
     return [f"{said}, AIC {found.aic:.2f}, BIC {found.bic:.2f}"]
 
 

@@ -118,7 +118,8 @@ class NoiseRecord:
 class LikelihoodRecord:
     """The likelihood of a fit: `objective` says which. `parameters` is the number of fitted ones, `minus2ll` is that at
     the estimates, of which sizes of disturbances and noises maximise the restricted likelihood, and `least` at the
-    maximum of the likelihood itself, to which `aic` and `bic` belong (None in runs of older versions)."""
+    maximum of the likelihood itself, to which `aic` and `bic` belong. With priors, which weights of unknown functions
+    have too, these three are None; in runs of older versions `least` is, and `aic` and `bic` are at the estimates."""
 
     objective: str
     minus2ll: float | None

@@ -65,8 +65,8 @@ class PopulationRecord:
     `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks, and `npde` by channel.
     `exact_hessian` is -2 log L by Laplace's method with the exact inner Hessian at the same estimates (None: that is
     not positive definite for some trajectory). `minus2ll` is None where it is not a finite number. `maximum`: whether
-    the likelihood is at its maximum; where the stage that maximises it ended early, it is not, and there are no AIC and
-    BIC."""
+    the likelihood is at its maximum; where the stage that maximises it did not run, or ended early, or `held`, it is
+    not, and there are no AIC and BIC. `held`: held-out data chose weights of networks on the way to the maximum."""
 
     minus2ll: float | None
     effects: Mapping[str, EffectRecord]
@@ -79,7 +79,15 @@ class PopulationRecord:
     npde: Mapping[str, ErrorsRecord] = field(default_factory=dict)
     exact_hessian: float | None = None
     maximum: bool = True
+    held: bool = False
     others: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def reason(self) -> str:
+        """Why the likelihood is not at its maximum."""
+        if self.held:
+            return "held-out data chose a point on the way to it"
+        return "the stage that seeks it did not run, or ended early"
 
 
 @dataclass(frozen=True)

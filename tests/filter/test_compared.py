@@ -58,6 +58,26 @@ def test_the_maximum_is_that_of_the_likelihood_itself(fit: Fit, tmp_path: Path) 
     assert f"-2 log likelihood {found.least:.4f} (innovations; at its maximum), 4 parameters" in run_summary(run)
 
 
+PRIOR = DRIFT.replace("in [0.01, 10]", "in [0.01, 10] prior lognormal(0.3, 0.1)")
+FUNCTION = DRIFT.replace("theta*(mu - X)", "f(X)").replace(
+    "learn theta = 0.5 in [0.01, 10]\n", "unknown f(X in [-2, 4]) by mlp(2)\n"
+)
+
+
+@pytest.mark.parametrize(("text", "said"), [(PRIOR, "constants with a prior"), (FUNCTION, "unknown functions")])
+def test_fits_with_priors_are_at_no_maximum(fit: Fit, text: str, said: str) -> None:
+    run = fit(text)
+    found = likelihood(run)
+    assert found.minus2ll is not None and found.least is None and found.aic is None and found.bic is None
+    line = next(one for one in run_summary(run).splitlines() if one.startswith("-2 log likelihood"))
+    assert (
+        line == f"-2 log likelihood {found.minus2ll:.4f} (innovations; at the estimates), {found.parameters} parameters"
+    )
+    with pytest.raises(UserError) as refused:
+        comparing.compare([fit(DRIFT), run])
+    assert said in refused.value.diagnostics[0].message and "maximum" in refused.value.diagnostics[0].message
+
+
 def test_nested_models_are_tested(fit: Fit) -> None:
     small, large, stated = fit(FIXED), fit(DRIFT), fit(STATED)
     found = comparing.compare([small, large, stated])

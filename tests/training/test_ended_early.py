@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,8 @@ from gbspec.training.optimise import Outcome, State
 from gbspec.training.population import MarginalLikelihood
 from gbspec.training.population.objective import Point
 from gbspec.training.runs.misjudged import _minimum
-from tests.training.test_populations import model_of
+from gbspec.training.runs.position import Position, checkpoint, restored, write_position
+from tests.training.test_populations import decays, model_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -37,11 +40,11 @@ observe q = x noise normal(NOISE)
 VALUES = (0.2, 2.0, 3.3, 4.6, 4.2, 4.9, 5.3, 4.6, 5.2)
 
 
-def fitted(folder: Path, noise: str, step: float | None = 0.5) -> FitRecord:
+def fitted(folder: Path, noise: str, step: float | None = 0.5, stages: str | None = None) -> FitRecord:
     (folder / "data.csv").write_text("t,q\n" + "".join(f"{t},{y}\n" for t, y in enumerate(VALUES)))
     model = model_of(RISE.replace("NOISE", noise), folder)
     data = tables.read_data(folder / "data.csv", model, Findings())
-    return train(model, data, TrainOptions(effort="low", max_step=step), folder / "run").fit
+    return train(model, data, TrainOptions(effort="low", max_step=step, stages=stages), folder / "run").fit
 
 
 @pytest.mark.parametrize(
@@ -70,7 +73,7 @@ def test_starts_are_not_reported_as_a_fit(noise: str, said: str, tmp_path: Path)
     found = opened.run.fit.population
     assert found is not None and not found.maximum and found.aic is None and found.bic is None
     assert (found.minus2ll is None) == ("/" in noise)
-    assert "not at its maximum: the stage that seeks it ended early" in run_summary(opened.run)
+    assert "not at its maximum: the stage that seeks it did not run, or ended early" in run_summary(opened.run)
     assert "Do not rely on this fit: its likelihood is not at its maximum" in (tmp_path / "report.html").read_text()
     with pytest.raises(UserError, match="GB775"):
         comparing.compare([opened.run, opened.run])
@@ -82,7 +85,8 @@ def broken_at(stage: str, iteration: int, monkeypatch: pytest.MonkeyPatch) -> No
     def broken(self: MarginalLikelihood, state: State, at: int) -> Outcome:
         if self.name == stage and at == iteration:
             raise ComputationError("the noise of `q` is not a finite number", where="trajectory `1` at t = 3")
-        return step(self, state, at)
+        outcome = step(self, state, at)
+        return replace(outcome, done=False) if self.name == stage else outcome  # a stage may come to its end at once
 
     monkeypatch.setattr(MarginalLikelihood, "step", broken)
 
@@ -106,6 +110,81 @@ def test_a_maximum_that_a_later_stage_cannot_improve_stays_one(tmp_path: Path, m
     assert "It is no fit" not in told
     assert fit.constants["k"].sd is not None
     assert fit.population is not None and fit.population.maximum and fit.population.aic is not None
+
+
+def test_a_stage_that_fails_on_the_way_leaves_the_maximum_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gbspec.training.recipe.populations.SHOWS", -1.0)
+    (tmp_path / "whole").mkdir()
+    whole = fitted(tmp_path / "whole", "a", None, "search; marginal likelihood")
+    broken_at("finer step", 1, monkeypatch)
+    fit = fitted(tmp_path, "a", None)
+    (told,) = [one for one in fit.warnings if "ended early" in one]
+    assert "the stage `finer step` ended early, and the maximum of the likelihood that was reached before" in told
+    assert "finer step" not in [one.name for one in fit.members[0].stages]
+    assert fit.population is not None and fit.population.maximum and fit.population.aic is not None
+    assert fit.constants == whole.constants and fit.constants["k"].sd is not None
+
+
+def test_a_likelihood_that_was_not_maximised_is_named(tmp_path: Path) -> None:
+    fit = fitted(tmp_path, "a", stages="search")
+    (told,) = [one for one in fit.warnings if "not at its maximum" in one]
+    assert "the stage `marginal likelihood` did not run" in told and "`--stages`" in told and "ended early" not in told
+    run = gbspec.open_run(tmp_path / "run").run
+    assert "not at its maximum: the stage that seeks it did not run, or ended early" in run_summary(run)
+    with pytest.raises(UserError) as refused:
+        comparing.compare([run, run])
+    assert "did not run, or ended early" in refused.value.diagnostics[0].message
+
+
+EARLY = """model early
+time t from 0
+state x in [0, 4]
+learn k = 0.5 in [0.01, 5] per trajectory ~ lognormal
+learn a = 0.1 in [1e-3, 1]
+unknown f(x in [0, 4]) = 0.1*nn by mlp(2)
+x' = -k*x + f(x)
+initial x = 2
+observe x noise normal(a)
+"""
+
+
+def test_what_held_out_data_chose_on_the_way_is_no_maximum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = count()
+    # Of several starts each takes steps before the first one is scored.
+    monkeypatch.setattr(MarginalLikelihood, "_starts", lambda self, theta, others: [theta])
+    monkeypatch.setattr("gbspec.training.runs.member.held_out_score", lambda *given: float(next(scores)))
+    model, data = decays(tmp_path, EARLY)
+    fit = train(model, data, TrainOptions(effort="low", max_step=0.5, holdout=0.4), tmp_path / "run").fit
+    found = fit.population
+    assert found is not None and not found.maximum and found.held
+    assert found.aic is None and found.bic is None and fit.constants["a"].sd is not None
+    (told,) = [one for one in fit.warnings if "chose a point on the way" in one]
+    assert "Without `--holdout`" in told
+    opened = gbspec.open_run(tmp_path / "run")
+    assert "not at its maximum: held-out data chose a point on the way to it" in run_summary(opened.run)
+    opened.report(tmp_path / "report.html")
+    assert "its likelihood is not at its maximum" not in (tmp_path / "report.html").read_text()
+    with pytest.raises(UserError) as refused:
+        comparing.compare([opened.run, opened.run])
+    assert "held-out data" in refused.value.diagnostics[0].message
+
+
+@pytest.mark.parametrize(("marks", "maximum"), [((), False), (("marginal likelihood",), True)])
+def test_checkpoints_without_a_word_of_maxima_have_those_of_their_stages(
+    marks: tuple[str, ...], maximum: bool, tmp_path: Path
+) -> None:
+    vector = np.zeros(2)
+    position = Position(
+        theta=vector, best=vector, entry=vector, marks={"search": vector} | dict.fromkeys(marks, vector)
+    )
+    write_position(tmp_path, position, {}, "smooth")
+    kept = checkpoint(tmp_path)
+    assert kept is not None
+    arrays, remarks = kept
+    older = restored(arrays, replace(remarks, maximum=None, held=None, entry_ridge=None))
+    assert older.maximum is maximum and (older.held is not maximum)
 
 
 def test_a_refit_without_a_gradient_is_no_evidence() -> None:

@@ -13,6 +13,7 @@ from gbspec.data import Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State
+from gbspec.training.progress import Update
 from gbspec.training.recipe import finer, step_fraction
 from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.finer import FinerStep, continuing, step_shows
@@ -56,6 +57,25 @@ def test_a_long_default_step_does_not_bias_a_fast_constant(tmp_path: Path) -> No
     assert run.fit.constants["ka"].value == pytest.approx(KA, rel=2e-3)
     assert run.fit.constants["ke"].value == pytest.approx(KE, rel=2e-4)
     assert run.member().info["max_step"] == 2.0 * 0.5 ** names.count("finer step")
+
+
+class StopsOnTheWay(Recorder):
+    """Interrupts the first finer step after its first iteration."""
+
+    def update(self, update: Update) -> None:
+        if (update.stage, update.iteration) == ("finer step", 1):
+            raise KeyboardInterrupt
+
+
+def test_an_interrupted_finer_step_goes_on_at_its_step(tmp_path: Path) -> None:
+    model, options = model_of(ABSORPTION), TrainOptions(workers=1, effort="low")
+    whole = train(model, SPARSE, options, tmp_path / "whole").fit
+    with pytest.raises(KeyboardInterrupt):
+        train(model, SPARSE, options, tmp_path / "run", StopsOnTheWay())
+    resumed = train(model, SPARSE, replace(options, resume=True), tmp_path / "run").fit
+    assert next(one.iterations for one in whole.members[0].stages if one.name == "finer step") > 1
+    assert [one.iterations for one in resumed.members[0].stages] == [one.iterations for one in whole.members[0].stages]
+    assert resumed.constants == whole.constants
 
 
 def test_a_step_that_was_given_stays(tmp_path: Path) -> None:

@@ -89,12 +89,12 @@ def _with_priors(engine: FilterEngine, priors: Priors, now: Likeliest) -> tuple[
     return gradient, matrix
 
 
-def at_maximum(engine: FilterEngine, vector: Array, found: Filtered) -> float:
-    """The negative log likelihood at its maximum near a fit; with priors, which weights of networks have too, that of
-    the fit: the maximum without them is another matter."""
+def at_maximum(engine: FilterEngine, vector: Array, found: Filtered) -> float | None:
+    """The negative log likelihood at its maximum near a fit; None with priors, which weights of networks have too: the
+    fit is not where the likelihood alone has its maximum."""
     parameters = engine.parameters
     if parameters.n_weights or len(_priors(engine)):
-        return found.value
+        return None
     return likeliest(engine, vector, found).value
 
 

@@ -167,7 +167,8 @@ def _r2(engine: FilterEngine, errors: Array, counted: Mask, channel: int) -> flo
 def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:
     """The likelihood, its criteria, the learned noises with intervals, and tests of the innovations."""
     count, values = int(engine.layout.free.sum()), int(engine.problem.valued.sum())
-    minus2, least = finite(2 * found.value), finite(2 * at_maximum(engine, vector, found))
+    minus2, maximum = finite(2 * found.value), at_maximum(engine, vector, found)
+    least = None if maximum is None else finite(2 * maximum)
     model, noise = engine.problem.model, {}
     deviations = engine.deviations(vector, found) if found.finite else np.full(len(vector), np.nan)
     _, log_sd = engine.layout.split(vector)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from gbspec.diagnostics import ComputationError
 from gbspec.training.stages import StageName
 
@@ -11,14 +13,32 @@ LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.JUMPS, StageName.FINER, S
 """The stages that end at a maximum of the likelihood where a model has one (`Model.marginal`)."""
 
 
-def said_of_end(name: str, error: ComputationError, maximum: bool) -> str:
-    """A warning of a stage; `maximum`: whether what is kept is what such a fit is for. Constants that are only where a
-    likelihood could not go on are no estimates, and have no intervals."""
+NO_FIT = (
+    "the likelihood is not at its maximum, so that constants are no estimates and have no intervals, and AIC and BIC "
+    "are left out"
+)
+
+
+def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: bool) -> str:
+    """A warning of a stage. In a `marginal` model `maximum` says whether a maximum of the likelihood was reached before
+    it; constants that are only where a likelihood could not go on are no estimates, and have no intervals."""
     where = f" ({error.where})" if error.where else ""
-    said = f"the stage `{name}` ended early, and what was reached is kept: {error.what}{where}"
-    if maximum:
+    kept = "the maximum of the likelihood that was reached before" if marginal and maximum else "what was reached"
+    said = f"the stage `{name}` ended early, and {kept} is kept: {error.what}{where}"
+    if maximum or not marginal:
         return said
-    return (
-        f"{said}. It is no fit: the likelihood is not at its maximum, so that constants are no estimates and have no "
-        f"intervals, and AIC and BIC are left out; what may help: {error.remedy or 'other starts, or narrower bounds'}"
-    )
+    return f"{said}. It is no fit: {NO_FIT}; what may help: {error.remedy or 'other starts, or narrower bounds'}"
+
+
+def said_of_no_maximum(notes: Sequence[str], maximum: bool, held: bool) -> list[str]:
+    """What is to be said of a finished fit of a model with a likelihood where what is kept is not its maximum, and no
+    stage that ended early has said so. `notes`, `maximum` and `held` are those of its `Position`."""
+    if maximum and held:
+        return [
+            "held-out data chose a point on the way to the maximum of the likelihood, where they are predicted best: "
+            "AIC and BIC, which are of maxima, are left out, and intervals are approximate. Without `--holdout` the "
+            "maximum is kept"
+        ]
+    if maximum or any(NO_FIT in note for note in notes):
+        return []
+    return [f"the stage `{StageName.MARGINAL}` did not run: {NO_FIT}. Add it to `--stages`, or leave these out"]

@@ -17,7 +17,7 @@ from gbspec.data import Estimated, Trajectories, beginnings, fingerprint
 from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
-from gbspec.runs import COVARIANCE, StageRecord, Summary, encode, files, sealed
+from gbspec.runs import COVARIANCE, StageRecord, Summary, files, sealed
 from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
@@ -37,14 +37,14 @@ from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
-from gbspec.training.runs.ended_early import LIKELIHOODS, NO_FITS, said_of_end
+from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_certainty
+from gbspec.training.runs.maximum import note_maximum, return_to_maximum
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
-from gbspec.training.runs.position import EDITION, Position, checkpoint
-from gbspec.training.runs.remarks import Exact, Remarks
+from gbspec.training.runs.position import Position, checkpoint, write_position
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
@@ -167,14 +167,16 @@ class _Runner:
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> bool:
         """Whether the stage was due. One that was not leaves nothing to save: a resumed run decides the same again."""
         position = self.position
-        begun, weights = [stage.name for stage in position.stages], self.context.estimated
+        # A stage that goes on is the last of the records: it is made again from those before it, as at its beginning.
+        before = position.stages[:-1] if position.iteration else position.stages
+        begun, weights = [stage.name for stage in before], self.context.estimated
         if position.iteration == 0:
             if not planned.due(self._reached(position.theta, begun)):
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
                 if self.context.options.named_stages and planned.name not in begun and note not in position.notes:
                     position.notes.append(note)
                 return False
-            position.entry = position.theta
+            position.entry, position.entry_ridge = position.theta, position.ridge
             if planned.weigh is not None:
                 self._weigh(planned.weigh(self._reached(position.theta, begun)))
         stage = planned.make(self._reached(position.entry, begun))
@@ -186,10 +188,12 @@ class _Runner:
                 position.state = stage.begin(position.theta)
             self.context.cutting = self.context.cutting or planned.name is StageName.CUT
             self._take_steps(stage, stop)
-            position.maximum |= planned.name in LIKELIHOODS
+            note_maximum(position, planned.name)
         except ComputationError as error:
-            position.maximum &= not position.iteration
             position.notes.append(self._after_failure(planned, error))
+            if position.iteration and position.maximum and self.context.model.marginal:
+                return_to_maximum(position, self._held_out if self._choosing else None)
+                return True
             if position.iteration == 0:
                 del position.stages[len(begun) :]
                 self.context.cutting = self.context.cutting and planned.name is not StageName.CUT
@@ -208,7 +212,7 @@ class _Runner:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
         position = self.position
         if set(position.marks) - NO_FITS:
-            return said_of_end(planned.name, error, position.maximum or not self.context.model.marginal)
+            return said_of_end(planned.name, error, self.context.model.marginal, position.maximum)
         if not any(later.name is StageName.HORIZONS for later in self.plan[position.stage + 1 :]):
             raise error
         if position.iteration:  # what blew up on the way is no better a start than the one before
@@ -223,8 +227,13 @@ class _Runner:
         if noise is self.context.estimated:
             return
         self.context.estimated = position.estimated = noise
-        if len(self.context.held) and self.parameters.n_weights:
+        if self._choosing:
             position.best_score = self._held_out(position.best, [stage.name for stage in self._fitted_stages()])
+
+    @property
+    def _choosing(self) -> bool:
+        """Whether held-out data choose the vector that is kept: of networks alone, which may go on to fit noise."""
+        return bool(len(self.context.held) and self.parameters.n_weights)
 
     def _held_out(self, theta: Array, begun: list[str]) -> float:
         """The score of a vector after the stages that have begun, by the held-out data."""
@@ -295,13 +304,14 @@ class _Runner:
         """Keeps the vector that best predicts held-out data; the last one without these, or without a network to stop.
         Pooled stages before a likelihood have not estimated its spreads and noises yet."""
         position, score = self.position, self.position.loss
-        if len(self.context.held) and self.parameters.n_weights:
+        if self._choosing:
             names = [stage.name for stage in position.stages]
             pooled = self.context.model.marginal and StageName.MARGINAL not in names
             score = math.inf if pooled else self._held_out(position.theta, names)
             if not score <= position.best_score:
                 return
         position.best, position.best_score, position.best_stages = position.theta, score, len(position.stages)
+        position.held = self._choosing  # until the stage comes to its end there
 
     def _fitted_stages(self) -> list[StageRecord]:
         """The stages up to the one that found the vector that is kept."""
@@ -332,11 +342,12 @@ class _Runner:
         more: dict[str, object] = {}
         names, marginal, shared = [stage.name for stage in fitted], self.context.model.marginal, None
         if position.finished and marginal:
-            given = self.context, self.parameters, position.best, names, float(position.ridge), position.maximum
-            result, found = with_population(result, *given)
+            given = self.context, self.parameters, position.best, names, float(position.ridge)
+            result, found = with_population(result, *given, position.maximum, position.held)
             result.population, result.objective = found.record, found.objective
             found.tables.write(self.directory)
             more, shared = {"population": found.info}, found.covariance
+            result.left += said_of_no_maximum(position.notes, position.maximum, position.held)
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
@@ -406,45 +417,8 @@ class _Runner:
     def save(self) -> MemberResult:
         """Writes the checkpoints and the weights, so that whatever ends the process, this state can be used."""
         began = time.monotonic()
-        self._save_position()
+        write_position(self.directory, self.position, self.parameters.fixed, self.context.kind)
         result = self._result()
         self._saved = time.monotonic()
         self._saving = self._saved - began
         return result
-
-    def _save_position(self) -> None:
-        """Writes the last and the best checkpoint."""
-        position = self.position
-        arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
-        arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
-        certainty = position.certainty
-        arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
-        arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
-        arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
-        arrays |= {
-            "edition": np.array(float(EDITION)),
-            "ridge": np.array(position.ridge),
-            "damping": np.array(position.damping),
-        }
-        if position.estimated is not None:
-            arrays |= {"noise": position.estimated.noise, "share": position.estimated.share}
-        remarks = Remarks(
-            stage=position.stage,
-            iteration=position.iteration,
-            seconds=position.seconds,
-            finished=position.finished,
-            smooth=self.context.kind == "smooth",
-            pieces=self.context.kind == "pieces",
-            maximum=position.maximum,
-            stages=tuple(position.stages),
-            notes=tuple(position.notes),
-            exact=Exact(position.loss.hex(), position.best_score.hex(), position.certainty.freedom.hex()),
-            history=tuple(
-                (name, i, seconds, loss.hex(), tuple(x.hex() for x in constants))
-                for name, i, seconds, loss, constants in position.history
-            ),
-            best_stages=position.best_stages,
-        )
-        files.write_tensors(self.directory / files.CHECKPOINT, arrays, encode(remarks))
-        best = {"theta": position.best}
-        files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})

@@ -55,10 +55,11 @@ def with_population(
     begun: Sequence[str],
     ridge: float,
     maximum: bool,
+    held: bool,
 ) -> tuple[MemberResult, Described]:
     """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates.
-    `begun`: the names of the stages that led to `theta`. Where that is no `maximum`, nothing is told of how well
-    constants are known, and nothing simulated."""
+    `begun`: the names of the stages that led to `theta`. Where no stage ended at a `maximum`, nothing is told of how
+    well constants are known, and nothing simulated. `held`: held-out data chose `theta` on the way to a maximum."""
     objective = marginal_objective(context, parameters, begun)
     layout = objective.layout
     modes = modes_of(parameters, objective.marginal.likelihood, theta)
@@ -97,7 +98,7 @@ def with_population(
         made_result.left += [*infinite, *said_of_errors(errors, context.model)]
         made_result.tied += spreads
     return made_result, Described(
-        replace(_record(context, found, objective, maximum), npde=errors),
+        replace(_record(context, found, objective, maximum and not held), npde=errors, held=maximum and held),
         _objective(found, objective),
         tables,
         _info(objective, found),

@@ -1,7 +1,8 @@
-"""The position of a member in its training, and how it is read from a checkpoint."""
+"""The position of a member in its training, and how it is written to a checkpoint and read from it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,9 +11,11 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.runs import JsonError, StageRecord, decode, files
+from gbspec.runs import JsonError, StageRecord, decode, encode, files
 from gbspec.training.optimise import Certainty, State
-from gbspec.training.runs.remarks import Remarks
+from gbspec.training.runs.ended_early import LIKELIHOODS
+from gbspec.training.runs.remarks import Exact, Remarks
+from gbspec.training.starts import CurveKind
 
 EDITION = 3
 """The edition of the stages' states. A stage in a checkpoint of an earlier one begins again at the vector it had."""
@@ -26,8 +29,9 @@ class Position:
     holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
     belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
     number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
-    weighed, if they are; `ridge` and `damping` are those of the last stage that had any. `maximum`: whether a stage has
-    ended at a maximum of the likelihood, and none has left it since.
+    weighed, if they are; `ridge` and `damping` are those of the last stage that had any, `entry_ridge` that at `entry`.
+    `maximum`: whether a stage has ended at a maximum of the likelihood; `held`: whether `best` is no such end, since
+    held-out data chose it on the way.
     """
 
     stage: int = 0
@@ -50,6 +54,8 @@ class Position:
     ridge: float = 0.0
     damping: float = 0.0
     maximum: bool = False
+    held: bool = False
+    entry_ridge: float = 0.0
 
 
 def checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
@@ -79,6 +85,10 @@ def _damaged(directory: Path, message: str) -> UserError:
 def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
     """The position stored in a checkpoint."""
     state = {name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")}
+    marks = {name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")}
+    ridge = float(arrays.get("ridge", np.array(0.0)))
+    known = LIKELIHOODS & set(marks)
+    chosen = not any(np.array_equal(arrays["best"], marks[name]) for name in known)
     return Position(
         stage=remarks.stage,
         iteration=remarks.iteration,
@@ -102,10 +112,51 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         ],
         stages=list(remarks.stages),
         notes=list(remarks.notes),
-        marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
+        marks=marks,
         finished=remarks.finished,
-        ridge=float(arrays.get("ridge", np.array(0.0))),
+        ridge=ridge,
         damping=float(arrays.get("damping", np.array(0.0))),
-        maximum=remarks.maximum,
+        maximum=bool(known) if remarks.maximum is None else remarks.maximum,
+        held=chosen if remarks.held is None else remarks.held,
+        entry_ridge=ridge if remarks.entry_ridge is None else float.fromhex(remarks.entry_ridge),
         estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
     )
+
+
+def write_position(directory: Path, position: Position, fixed: Mapping[str, Array], kind: CurveKind) -> None:
+    """Writes the last and the best checkpoint of a member; `fixed` are the arrays of its layout that are not trained,
+    `kind` is that of the curves of its warm start."""
+    arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
+    arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
+    certainty = position.certainty
+    arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
+    arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
+    arrays |= {f"fixed.{name}": value for name, value in fixed.items()}
+    arrays |= {
+        "edition": np.array(float(EDITION)),
+        "ridge": np.array(position.ridge),
+        "damping": np.array(position.damping),
+    }
+    if position.estimated is not None:
+        arrays |= {"noise": position.estimated.noise, "share": position.estimated.share}
+    remarks = Remarks(
+        stage=position.stage,
+        iteration=position.iteration,
+        seconds=position.seconds,
+        finished=position.finished,
+        smooth=kind == "smooth",
+        pieces=kind == "pieces",
+        maximum=position.maximum,
+        held=position.held,
+        entry_ridge=position.entry_ridge.hex(),
+        stages=tuple(position.stages),
+        notes=tuple(position.notes),
+        exact=Exact(position.loss.hex(), position.best_score.hex(), position.certainty.freedom.hex()),
+        history=tuple(
+            (name, i, seconds, loss.hex(), tuple(x.hex() for x in constants))
+            for name, i, seconds, loss, constants in position.history
+        ),
+        best_stages=position.best_stages,
+    )
+    files.write_tensors(directory / files.CHECKPOINT, arrays, encode(remarks))
+    files.write_tensors(directory / files.CHECKPOINT_BEST, {"theta": position.best}, {"score": position.best_score})

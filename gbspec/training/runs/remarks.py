@@ -22,7 +22,7 @@ class Remarks:
     """What a checkpoint holds beside its arrays; see `Position`. Losses and constants of the history are hexadecimal.
 
     `smooth`: whether the measured values were smoothed for the warm start, `pieces`: whether piece by piece.
-    `maximum` is that of a `Position`; checkpoints without it are of stages that went on.
+    `maximum`, `held` and `entry_ridge` (hexadecimal) are those of a `Position`; older checkpoints have none.
     """
 
     stage: int
@@ -36,7 +36,9 @@ class Remarks:
     history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
     best_stages: int = 0
     pieces: bool = False
-    maximum: bool = True
+    maximum: bool | None = None
+    held: bool | None = None
+    entry_ridge: str | None = None
 
     @property
     def curves(self) -> CurveKind:

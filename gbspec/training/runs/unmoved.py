@@ -52,7 +52,8 @@ def without_unmoved(result: MemberResult, context: Context, stages: Sequence[str
     warnings of the model: nothing but another model helps."""
     model = context.model
     jumping, blind = only_in_jumps(model), only_in_jumps(context.solved)
-    if result.population is not None and not result.population.maximum:  # of such a fit nothing is an estimate
+    known = result.population
+    if known is not None and not (known.maximum or known.held):  # of such a fit nothing is an estimate
         return []
     still, out = unmoved(model, result.constants, result.sd, stages), []
     if result.loss <= EXACT or len(still) == len(model.learnables) > 1:  # begun at the truth, or not begun at all

@@ -1,0 +1,30 @@
+"""Whether a member has come to a maximum of the likelihood, and the way back to one from a stage that failed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.training.runs.ended_early import LIKELIHOODS
+from gbspec.training.runs.position import Position
+
+
+def note_maximum(position: Position, name: str) -> None:
+    """Notes that a stage came to its end, which is a maximum if it is one of a likelihood."""
+    position.maximum |= name in LIKELIHOODS
+    position.held &= not np.array_equal(position.best, position.theta)
+
+
+def return_to_maximum(position: Position, score: Callable[[Array, list[str]], float] | None) -> None:
+    """Goes back from the present stage, which failed, to the maximum at which it began, as if it had not run. `score`
+    is that of a vector after the stages of these names by held-out data; None where these choose nothing."""
+    del position.history[len(position.history) - position.iteration :]
+    position.stages.pop()
+    begun = [stage.name for stage in position.stages]
+    position.theta, position.ridge = position.entry, position.entry_ridge
+    position.loss = float("nan" if position.stages[-1].loss is None else position.stages[-1].loss)
+    if position.best_stages > len(position.stages):  # it is of the stage that is left out
+        position.best, position.best_stages, position.held = position.entry, len(position.stages), False
+        position.best_score = position.loss if score is None else score(position.entry, begun)
