@@ -75,7 +75,8 @@ class ShapedBuilder(Builder):
     def _odd(self, demands: Wanted) -> Expr:
         odd = {i for i, parity in demands.shapes.parities.items() if parity < 0}
         names = ", ".join(f"`{self.formals[i].name}`" for i in sorted(odd))
-        if set(demands.directions) - odd or demands.shapes.curvatures:
+        # Also of two arguments in which it is odd: it rises in v for u and for -u, and f(-u, v) = -f(u, v), only at 0.
+        if any(odd - {i} for i in demands.directions) or demands.shapes.curvatures:
             what = f"`{self.unknown.name}`, odd in {names}, with a direction or a curvature in another argument"
             help = "write it as a product of an odd function and one of the other arguments"
             raise self._none(what, help, "odd", "increasing", "decreasing", "convex", "concave")

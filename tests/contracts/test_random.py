@@ -50,6 +50,7 @@ def statements(draw: st.DrawFn) -> str:
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(statements(), st.integers(0, 2**16))
+@example("unknown f(u, v in [0, 3]) >= -1, increasing in v, odd in u, odd in v  by mlp(7, 9)", 0)
 @example("unknown f(u in [0, 10], v in [0, 3]) increasing in u, odd in u = tanh(u)*exp(tanh(nn)) by mlp(7, 9)", 0)
 @example("unknown f(u, v in [0, 3]) <= 0, >= -1 = 2*exp(-tanh(u))*nn by mlp(7, 9, activation=silu)", 0)
 @example("unknown f(u, v in [0, 3]) in [0, k] = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0)
