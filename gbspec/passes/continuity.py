@@ -13,6 +13,7 @@ import sympy
 from sympy.core.relational import Relational
 
 from gbspec.ir import Expr, Model
+from gbspec.passes.shapes import same, with_fractions
 
 LARGEST = 200
 """A difference of branches with more operations is not expanded, since that may take long."""
@@ -56,14 +57,14 @@ def _of_branches(model: Model, node: sympy.Piecewise, positive: Mapping[sympy.Ba
     if inside != {one for condition in conditions for one in _outermost(condition)}:
         return inside  # a condition compares what other conditions decide
     parts = model.inlined([part for value, condition in node.args for part in (value, condition)])
-    exact = [_exact(part).xreplace(dict(positive)) for part in parts]
+    exact = [with_fractions(part).xreplace(dict(positive)) for part in parts]
     if any(part.has(*_POINTS) for part in exact):
         return inside
     branches = list(zip(exact[::2], exact[1::2], strict=True))
     found: set[sympy.Basic] = set()
     for place, condition in enumerate(conditions):
         for one in condition.atoms(Relational):
-            guard = _exact(model.inlined([one.lhs - one.rhs])[0]).xreplace(dict(positive))
+            guard = with_fractions(model.inlined([one.lhs - one.rhs])[0]).xreplace(dict(positive))
             if not _agree(guard, branches[place][0], branches[place + 1 :]):
                 found.add(one)
     return found
@@ -74,11 +75,6 @@ def _outermost(condition: sympy.Basic) -> Iterable[sympy.Basic]:
     if isinstance(condition, Relational):
         return [condition]
     return [one for part in condition.args for one in _outermost(part)]
-
-
-def _exact(value: Expr) -> Expr:
-    """The value with the decimal numbers that a file has written."""
-    return value.xreplace({number: sympy.Rational(str(number)) for number in value.atoms(sympy.Float)})
 
 
 def _agree(guard: Expr, value: Expr, rest: Iterable[tuple[Expr, sympy.Basic]]) -> bool:
@@ -102,9 +98,7 @@ def _agree(guard: Expr, value: Expr, rest: Iterable[tuple[Expr, sympy.Basic]]) -
 
 def _zero(difference: Expr) -> bool:
     """Whether a difference is shown to be zero; a large one is not looked at."""
-    if difference == 0 or sympy.count_ops(difference) > LARGEST:
-        return bool(difference == 0)
-    return bool(sympy.expand(sympy.fraction(sympy.together(difference))[0]) == 0)
+    return bool(difference == 0) or (sympy.count_ops(difference) <= LARGEST and same(difference, sympy.S.Zero))
 
 
 def _solved(guard: Expr) -> tuple[sympy.Basic, Expr] | None:

@@ -126,10 +126,14 @@ def mirrored(expression: Expr, variable: sympy.Symbol) -> Expr:
     return expression.xreplace({variable: -variable})
 
 
+def with_fractions(expression: Expr) -> Expr:
+    """The expression with exact fractions in place of decimals: those that a file has written."""
+    return expression.xreplace({n: sympy.Rational(str(n)) for n in expression.atoms(sympy.Float)})
+
+
 def same(left: Expr, right: Expr) -> bool:
     """Whether two expressions are equal, identically, with exact fractions in place of decimals."""
-    exact = [e.xreplace({n: sympy.Rational(str(n)) for n in e.atoms(sympy.Float)}) for e in (left, right)]
-    difference = sympy.expand(exact[0] - exact[1])
+    difference = sympy.expand(with_fractions(left) - with_fractions(right))
     return bool(difference == 0) or bool(sympy.expand(sympy.fraction(sympy.together(difference))[0]) == 0)
 
 
