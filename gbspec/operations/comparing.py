@@ -177,7 +177,7 @@ def _compared(run: Run) -> Compared:
             population.minus2ll + 2 * population.parameters if population.aic is None else population.aic,
             float("nan") if population.bic is None else population.bic,
         )
-    found = _innovations(run)
+    found = run.innovations
     if found is None:
         message = f"`{run.path}` was not fitted by a likelihood"
         help_text = (
@@ -209,17 +209,12 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
     raise UserError([Diagnostic("GB775", f"`{run.path}` {said}", None, help=help_text)])
 
 
-def _innovations(run: Run) -> LikelihoodRecord | None:
-    """The likelihood of innovations of a run's best member; None where it was fitted otherwise."""
-    return run.fit.members[run.numbers.index(run.best)].likelihood if run.fit.members else None
-
-
 def _parameters(run: Run) -> frozenset[str]:
     """The names of what is estimated; a median has the name of its constant."""
     model = run.model
     medians = {k.distribution.median: k.name for k in model.distributed if k.distribution is not None}
     names = [k.name for k in (*model.learnables, *model.implied) if not k.per_trajectory]
-    found = _innovations(run)
+    found = run.innovations
     noises = [] if found is None else [f"noise of {name}" for name in found.noise]
     return frozenset([*(medians.get(name, name) for name in names), *noises])
 

@@ -27,7 +27,7 @@ def learned_noises(run: Run) -> tuple[LearnedNoise, ...]:
         return ()
     from gbspec.ir import logarithmic
 
-    record = run.fit.members[run.numbers.index(run.best)].likelihood
+    record = run.innovations
     found, out = {} if record is None else record.noise, []
     for channel, log in zip(run.model.channels, logarithmic(run.model), strict=True):
         one = found.get(channel.name)

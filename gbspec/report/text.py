@@ -254,7 +254,7 @@ def population_lines(run: Run) -> list[str]:
 def innovations_line(run: Run) -> list[str]:
     """The likelihood of the best member's innovations, at its maximum, or where that is not known at the estimates;
     nothing for other runs."""
-    found = run.fit.members[run.numbers.index(run.best)].likelihood if run.fit.members else None
+    found = run.innovations
     value = None if found is None else found.minus2ll if found.least is None else found.least
     if found is None or value is None:
         return []

@@ -17,7 +17,7 @@ from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, Covariance, read_certainties
 from gbspec.runs.locks import held_elsewhere
-from gbspec.runs.member import MemberRecord, comparable_losses
+from gbspec.runs.member import LikelihoodRecord, MemberRecord, comparable_losses
 from gbspec.runs.profiles import ProfileRecord, read_profile
 from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, check_weights, read_record
 
@@ -124,6 +124,11 @@ class Run:
         entries = zip(self.numbers, comparable_losses(self.fit.members), strict=False)
         losses = {number: loss for number, loss in entries if loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
+
+    @property
+    def innovations(self) -> LikelihoodRecord | None:
+        """The likelihood of innovations of the best member; None of a fit that has another objective."""
+        return self.fit.members[self.numbers.index(self.best)].likelihood if self.fit.members else None
 
     def mean(self, predict: Callable[[GeneratedModule], Array]) -> Array:
         """The mean over members of the result of `predict` (module instance -> array)."""
