@@ -197,9 +197,11 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
     if not run.model.diffusions or data is None:
         return found
     from gbspec.operations.filtering import check_steps, errors_ahead
+    from gbspec.training import filter_run
 
     one = run.best if member == "mean" else member
-    (ahead, worst), steps = errors_ahead(run, data, one), check_steps(run, data, one)
+    filtered = filter_run(run, data, one)
+    (ahead, worst), steps = errors_ahead(run, data, filtered), check_steps(run, data, one, filtered)
     said = (steps.warning,) if steps.warning else ()
     return replace(found, ahead=ahead, worst=worst or found.worst, step_check=steps, warnings=(*found.warnings, *said))
 

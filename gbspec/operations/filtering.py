@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from gbspec.arrays import Mask
     from gbspec.data import Trajectories
     from gbspec.runs import Run
+    from gbspec.training import FilteredRun
 
 STEPS: Mapping[str, int | None] = {"1": 1, "10": 10, "all": None}
 """How many rows ahead predictions are compared with the measurements."""
@@ -25,15 +26,13 @@ LACKING = (
 
 
 def errors_ahead(
-    run: Run, data: Trajectories, member: int
+    run: Run, data: Trajectories, filtered: FilteredRun
 ) -> tuple[dict[str, dict[str, ChannelErrors]], WorstRow | None]:
     """The errors of predictions by the number of rows that they are ahead, and by channel, and the worst row of those
-    one row ahead; of one member."""
+    one row ahead; of the filter of one member."""
     from gbspec.analysis import channel_errors, worst_ahead
     from gbspec.ir import logarithmic
-    from gbspec.training import filter_run
 
-    filtered = filter_run(run, data, member)
     if not filtered.finite:
         return {}, None
     measured = np.concatenate([item.values[item.times >= item.start] for item in data.items])
@@ -47,15 +46,15 @@ def errors_ahead(
     return out, worst_ahead(run, data, 1, list(zip(filtered.ahead(1), spreads, strict=True)))
 
 
-def check_steps(run: Run, data: Trajectories, member: int) -> StepCheck:
-    """Whether the predictions of a member's filter depend on the steps that it takes from row to row. There is nothing
-    to check where they are exact, or follow a tolerance."""
+def check_steps(run: Run, data: Trajectories, member: int, filtered: FilteredRun | None = None) -> StepCheck:
+    """Whether the predictions of a member's filter (`filtered`, if it has been run) depend on the steps that it takes
+    from row to row. There is nothing to check where they are exact, or follow a tolerance."""
     from gbspec.analysis import StepCheck, filter_check
     from gbspec.training import filter_run, without_steps
 
     if without_steps(run.model) or run.tolerance(member) is not None:
         return StepCheck(None, None)
-    coarse = filter_run(run, data, member)
+    coarse = filtered or filter_run(run, data, member)
     step = coarse.longest_step
     if not step:
         return StepCheck(None, None)
