@@ -26,13 +26,14 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.engines import Choice
 from gbspec.training.population.groups import alike
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import LEAST_POSITIVE, Compared, Likelihood
 from gbspec.training.population.predictions import Predictions
 from gbspec.training.population.quadrature import Quadrature
 from gbspec.training.population.sweeps import by_constants
-from gbspec.training.problem import Integers
+from gbspec.training.problem import Integers, Parameters, Problem
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,13 @@ class Marginal:
         self.layout, self.predictions, self.nodes = layout, predictions, nodes
         self.likelihood = Likelihood(layout, predictions)
         self.quadrature = Quadrature(self.likelihood, nodes) if nodes > 1 else None
+
+    @classmethod
+    def of(cls, problem: Problem, parameters: Parameters, choice: Choice, nodes: int = 1) -> Marginal:
+        """That of a problem with this layout of the vector."""
+        layout = Layout(parameters)
+        names = tuple(k.name for k in layout.distributed)
+        return cls(layout, Predictions(problem, parameters, choice, names), nodes)
 
     def rows(self, u: Array) -> Tensor:
         """u as one row for each trajectory [N, P]."""

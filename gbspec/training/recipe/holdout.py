@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, predicted, residual_vector
-from gbspec.training.population import Layout, Marginal, Predictions, modes_of
+from gbspec.training.population import Marginal, modes_of
 from gbspec.training.problem import Parameters, Problem, mean_loss, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.recipe.disturbed import held_out_likelihood
@@ -34,11 +34,9 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array, fract
 
 def _held_out_marginal(context: Context, parameters: Parameters, theta: Array, fraction: float) -> float:
     engine, vector = _fitted(context, parameters, theta, 0.0, fraction)
-    layout = Layout(engine.parameters)
-    names = tuple(k.name for k in layout.distributed)
-    marginal = Marginal(layout, Predictions(engine.problem, engine.parameters, context.choice, names))
+    marginal = Marginal.of(engine.problem, engine.parameters, context.choice)
     z = modes_of(engine.parameters, marginal.likelihood, vector)
-    found = marginal.value(vector[layout.slice()], vector[: parameters.n_weights], z, True).total
+    found = marginal.value(vector[marginal.layout.slice()], vector[: parameters.n_weights], z, True).total
     return found / (2 * max(int(engine.problem.seen.sum()), 1)) if np.isfinite(found) else float("inf")
 
 

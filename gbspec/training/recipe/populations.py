@@ -19,7 +19,6 @@ from gbspec.training.population import (
     Objective,
     Point,
     Pooled,
-    Predictions,
     Starts,
     TimesOfJumps,
     modes_of,
@@ -49,11 +48,8 @@ def marginal_objective(context: Context, parameters: Parameters, begun: Sequence
 
     Raises UserError (GB787) if a quadrature was requested that takes too many solutions.
     """
-    layout = Layout(parameters)
-    names = tuple(k.name for k in layout.distributed)
     problem = context.problem(0.0, step_fraction(begun))
-    predictions = Predictions(problem, parameters, context.choice, names)
-    size, nodes = Groups.of(layout, problem.packed.condition).size, context.options.quadrature
+    size, nodes = Groups.of(Layout(parameters), problem.packed.condition).size, context.options.quadrature
     if nodes is None:
         nodes = AUTOMATIC.get(size, 1) if StageName.QUADRATURE in begun else 1
     if nodes > 1 and nodes**size > MOST_NODES:
@@ -61,7 +57,7 @@ def marginal_objective(context: Context, parameters: Parameters, begun: Sequence
         message = f"quadrature with {nodes} nodes in each of {size} dimensions takes {solutions} solutions"
         help = "leave `--quadrature` out: Laplace's method takes one; groups of trajectories count together"
         raise UserError([Diagnostic("GB787", message, None, help=help)])
-    return Objective(Marginal(layout, predictions, nodes))
+    return Objective(Marginal.of(problem, parameters, context.choice, nodes))
 
 
 def check_starts(context: Context) -> None:
