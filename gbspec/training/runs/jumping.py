@@ -9,26 +9,15 @@ from gbspec.arrays import Array
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import EXACT
-from gbspec.training.runs.misjudged import without_misjudged
-from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.summary import MemberResult, whole_solutions
-from gbspec.training.runs.tied import without_tied
 from gbspec.training.starts import at_jumps
 
 
-def without_certainty(
+def without_jumping(
     result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
 ) -> list[str]:
-    """Takes their standard deviations from constants for which the curvature is no measure; what is to be said of
-    these. `stages` are those that led to `theta`."""
-    each = (without_tied, without_misjudged, without_disturbances, _without_jumping)
-    return [text for without in each for text in without(result, context, parameters, theta, stages)]
-
-
-def _without_jumping(
-    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
-) -> list[str]:
-    """Those at which the sum of squares jumps."""
+    """Takes their standard deviations from such constants; a sentence for each. `stages` are those that led to
+    `theta`."""
     if parameters.n_weights or context.model.diffusions or context.model.marginal or not result.loss > EXACT:
         return []
     blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend

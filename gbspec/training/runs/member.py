@@ -39,16 +39,18 @@ from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
 from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum
 from gbspec.training.runs.happening import said_of_events
-from gbspec.training.runs.jumping import without_certainty
+from gbspec.training.runs.jumping import without_jumping
 from gbspec.training.runs.maximum import note_maximum, return_to_maximum
+from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import Position, checkpoint, write_position
 from gbspec.training.runs.signals import uninterrupted
+from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import without_loosened
+from gbspec.training.runs.tied import without_loosened, without_tied
 from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
@@ -388,11 +390,18 @@ class _Runner:
             engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
             other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
-        if position.finished and not marginal:
-            result.tied += without_certainty(result, self.context, self.parameters, position.best, names)
-        result.tied += without_unmoved(result, self.context, names) if position.finished else []
+        if position.finished:
+            self._take_uncertain(result, names)
         result.finished, result.notes = position.finished, list(position.notes)
         return result
+
+    def _take_uncertain(self, result: MemberResult, names: list[str]) -> None:
+        """Takes their standard deviations from constants for which the curvature is no measure, with what is to be said
+        of these. `names` are those of the stages that led to the result."""
+        if not self.context.model.marginal:
+            for without in (without_tied, without_misjudged, without_disturbances, without_jumping):
+                result.tied += without(result, self.context, self.parameters, self.position.best, names)
+        result.tied += without_unmoved(result, self.context, names)
 
     def _unsteady(self, instance: GeneratedModule) -> list[str]:
         """What is to be said of trajectories that do not begin in the steady state that the table asks for."""

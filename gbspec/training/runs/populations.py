@@ -58,8 +58,8 @@ def with_population(
     held: bool,
 ) -> tuple[MemberResult, Described]:
     """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates.
-    `begun`: the names of the stages that led to `theta`. Where no stage ended at a `maximum`, nothing is told of how
-    well constants are known, and nothing simulated. `held`: held-out data chose `theta` on the way to a maximum."""
+    `begun`: the names of the stages that led to `theta`. Where no stage ended at a `maximum`, nothing says how well
+    constants are known, and nothing is simulated. `held`: held-out data chose `theta` on the way to a maximum."""
     objective = marginal_objective(context, parameters, begun)
     layout = objective.layout
     modes = modes_of(parameters, objective.marginal.likelihood, theta)
