@@ -9,13 +9,13 @@ are those of measured values themselves, also under lognormal noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import torch
 
-from gbspec.arrays import Array, Mask
+from gbspec.arrays import Array, Mask, as_measured
 from gbspec.backends import GeneratedModule, load_module
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
@@ -191,8 +191,7 @@ def _values(
     sd: Array, residual: Array, side: Array,
 ) -> tuple[Value, ...]:  # fmt: skip
     labels, names = context.packed().labels, [c.name for c in context.model.channels]
-    shown: Callable[[Array], Array] = lambda x: np.where(logs, np.exp(np.where(logs, x, 0.0)), x)  # noqa: E731 - short
-    predicted, known = shown(mean), shown(measured)
+    predicted, known = as_measured(mean, logs), as_measured(measured, logs)
     return tuple(
         Value(
             labels[owner[i]], float(time[i]), names[channel[i]], float(predicted[i]), float(known[i]), float(sd[i]),

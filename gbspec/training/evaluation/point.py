@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, as_measured
 from gbspec.backends import load_module
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
@@ -193,8 +193,7 @@ def _values(
 ) -> tuple[Value, ...]:
     """The measured values with their predictions, trajectory by trajectory in the order of time."""
     packed, row = problem.packed, np.nonzero(problem.seen)[0]
-    logs = np.where(measured.logarithm, measured.value, 0.0)
-    measurement = np.where(measured.logarithm, np.exp(logs), measured.value)
+    measurement = as_measured(measured.value, measured.logarithm)
     signs = {-1: "<", 1: ">", 0: ""}
     return tuple(
         Value(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gbspec.arrays import Array, Mask
+from gbspec.arrays import Array, as_measured
 from gbspec.runs import NORMAL_90, Covariance
 from gbspec.training.optimise import tied_at_bounds
 from gbspec.training.population.discrepancies import prediction_errors
@@ -230,17 +230,12 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
         weighted[rows] = np.einsum("nij,nj->ni", root, shifted)
     logs = predictions.measured.logarithm
     return {
-        "value": _natural(predictions.measured.value, logs),
-        "individual": _natural(of.mean.numpy(), logs),
+        "value": as_measured(predictions.measured.value, logs),
+        "individual": as_measured(of.mean.numpy(), logs),
         "population": population,
         "cwres": weighted,
         "iwres": np.where(predictions.measured.side == 0, own, np.nan),
     }
-
-
-def _natural(values: Array, logs: Mask) -> Array:
-    """Values [m] of which some are logarithms, all as they are measured."""
-    return np.where(logs, np.exp(np.where(logs, values, 0.0)), values)
 
 
 def simulated_tables(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
@@ -259,7 +254,7 @@ def predictive_check(measured: Measured, simulated: Array, times: Array) -> dict
     Rows are [channel, first time, middle, last time, measured quantiles, and for each of these the 5, 50 and 95 %
     quantile of the simulated ones]; simulated data sets have the trajectories, times and conditions of the data.
     """
-    value = _natural(measured.value, measured.logarithm)
+    value = as_measured(measured.value, measured.logarithm)
     rows = []
     for channel in np.unique(measured.channel):
         here = np.flatnonzero((measured.channel == channel) & (measured.side == 0))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.arrays import Array, Mask
+from gbspec.arrays import Array, Mask, as_measured
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, continued, fingerprint
 from gbspec.training.engines import Filtered, FilterEngine, Whiteness, filter, whiteness
@@ -141,7 +141,7 @@ class FilteredRun:
         sd, spread = (np.sqrt(np.maximum(each, 0.0)) for each in variances)
         states = engine.coordinates.states(z)
         sd = np.where(log, sd, sd / engine.coordinates.slopes(states))
-        channels = np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y)
+        channels = as_measured(y, log_y)
         return [RowMoments(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
 
     def _path(self, vector: Array, found: Filtered) -> _Coordinates:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gbspec.arrays import Array, Mask
+from gbspec.arrays import Array, Mask, as_measured
 from gbspec.training.engines.filter.engine import FilterEngine
 from gbspec.training.engines.filter.layout import At
 from gbspec.training.engines.filter.recursion import Moment, predicted
@@ -36,7 +36,7 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
         there = np.flatnonzero((passed == steps) & (rows >= 0))
         if len(there):
             reading = engine.readings(at, log_sd, rows[there], moment.of(there))
-            out[rows[there]] = np.where(engine.noise.log, np.exp(np.where(engine.noise.log, reading.y, 0.0)), reading.y)
+            out[rows[there]] = as_measured(reading.y, engine.noise.log)
         leg = np.where((passed == steps) & (rows >= 0), -1, following[leg])
 
 
@@ -65,7 +65,7 @@ def one_row_ahead(engine: FilterEngine, found: Filtered) -> tuple[Array, Mask]:
 def from_starts(engine: FilterEngine, vector: Array) -> Array:
     """The prediction of each value [R, C] from the start of its trajectory, without any measurement."""
     found = engine.filtered(vector, seen=np.zeros_like(engine.problem.valued))
-    return np.where(engine.noise.log, np.exp(np.where(engine.noise.log, found.mean, 0.0)), found.mean)
+    return as_measured(found.mean, engine.noise.log)
 
 
 def _following(engine: FilterEngine) -> Integers:
