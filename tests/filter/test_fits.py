@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import Model
 from gbspec.operations import analysing, fitting, models
 from gbspec.runs import Covariance, Run, files, open_run
-from gbspec.training import TrainOptions, filter_run, train
+from gbspec.training import TrainOptions, filter_run, stages, train
 from gbspec.training.engines import whiteness
 from gbspec.training.runs.filtering import FilteredRun, RowMoments
 
@@ -80,6 +81,19 @@ def test_drift_disturbance_and_noise_are_found_with_intervals(fitted: tuple[Run,
     assert interval[0] < 0.1 < interval[1]
     assert run.fit.objective is not None
     assert likelihood.whiteness["X"].values == 120
+
+
+def test_the_last_iteration_below_the_maximum_is_no_fit(
+    fitted: tuple[Run, Trajectories], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = cast(dict[str, tuple[int, int, int]], stages._MOST)
+    monkeypatch.setitem(most, stages.StageName.INNOVATIONS, (2, 2, 2))
+    run = train(fitted[0].model, fitted[1], FAST, tmp_path / "run")
+    (told,) = [one for one in run.fit.warnings if "ended early" in one]
+    assert "the stage `innovations` ended early: -2 log likelihood is still falling in iteration 2, the last" in told
+    assert "It is no fit" in told and "`--effort high`" in told
+    assert all(one.sd is None for one in run.fit.constants.values())
+    assert not any("ended early" in one for one in fitted[0].fit.warnings)
 
 
 class Stop:

@@ -7,6 +7,7 @@ import warnings
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,12 +17,13 @@ from gbspec.diagnostics import ComputationError, Findings, UserError
 from gbspec.operations import comparing, tables
 from gbspec.report.text import run_summary
 from gbspec.runs import FitRecord
-from gbspec.training import TrainOptions, train
+from gbspec.training import TrainOptions, stages, train
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.population import MarginalLikelihood
 from gbspec.training.population.objective import Point
 from gbspec.training.runs.misjudged import _minimum
 from gbspec.training.runs.position import Position, checkpoint, restored, write_position
+from gbspec.training.stages import StageName
 from tests.training.test_populations import decays, model_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -40,11 +42,11 @@ observe q = x noise normal(NOISE)
 VALUES = (0.2, 2.0, 3.3, 4.6, 4.2, 4.9, 5.3, 4.6, 5.2)
 
 
-def fitted(folder: Path, noise: str, step: float | None = 0.5, stages: str | None = None) -> FitRecord:
+def fitted(folder: Path, noise: str, step: float | None = 0.5, named: str | None = None) -> FitRecord:
     (folder / "data.csv").write_text("t,q\n" + "".join(f"{t},{y}\n" for t, y in enumerate(VALUES)))
     model = model_of(RISE.replace("NOISE", noise), folder)
     data = tables.read_data(folder / "data.csv", model, Findings())
-    return train(model, data, TrainOptions(effort="low", max_step=step, stages=stages), folder / "run").fit
+    return train(model, data, TrainOptions(effort="low", max_step=step, stages=named), folder / "run").fit
 
 
 @pytest.mark.parametrize(
@@ -102,6 +104,38 @@ def test_what_was_reached_on_the_way_is_no_fit_either(tmp_path: Path, monkeypatc
     assert fit.population is not None and not fit.population.maximum
 
 
+def with_most(stage: StageName, iterations: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cast(dict[str, tuple[int, int, int]], stages._MOST), stage, (iterations,) * 3)
+
+
+def test_the_last_iteration_below_the_maximum_is_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_most(StageName.MARGINAL, 1, monkeypatch)
+    fit = fitted(tmp_path, "sqrt(a^2 + (b*y)^2)")
+    (told,) = [one for one in fit.warnings if "ended early" in one]
+    assert "-2 log likelihood is still falling in iteration 1, the last one; the next step promises" in told
+    assert "It is no fit" in told and "`--effort high`" in told
+    assert all(one.sd is None for one in fit.constants.values())
+    assert fit.population is not None and not fit.population.maximum and fit.population.aic is None
+
+
+def test_the_last_iteration_may_be_at_the_maximum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "whole").mkdir()
+    whole = fitted(tmp_path / "whole", "a")
+    (taken,) = [one.iterations for one in whole.members[0].stages if one.name == "marginal likelihood"]
+    with_most(StageName.MARGINAL, taken - 1, monkeypatch)
+    fit = fitted(tmp_path, "a")
+    assert taken > 2 and fit.population is not None and fit.population.maximum
+    assert fit.constants["k"].sd == pytest.approx(whole.constants["k"].sd or 0.0, rel=1e-3)
+
+
+def test_a_likelihood_that_no_step_raises_is_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(MarginalLikelihood, "_trial", lambda self, now, *given: (now, 3.2, 1e-3))
+    fit = fitted(tmp_path, "sqrt(a^2 + (b*y)^2)")
+    (told,) = [one for one in fit.warnings if "ended early" in one]
+    assert "in iteration 1 no step lowers -2 log likelihood, although its derivatives promise a fall of" in told
+    assert "It is no fit" in told and fit.population is not None and not fit.population.maximum
+
+
 def test_a_maximum_that_a_later_stage_cannot_improve_stays_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken_at("finer step", 0, monkeypatch)
     monkeypatch.setattr("gbspec.training.recipe.populations.SHOWS", -1.0)
@@ -128,7 +162,7 @@ def test_a_stage_that_fails_on_the_way_leaves_the_maximum_before(
 
 
 def test_a_likelihood_that_was_not_maximised_is_named(tmp_path: Path) -> None:
-    fit = fitted(tmp_path, "a", stages="search")
+    fit = fitted(tmp_path, "a", named="search")
     (told,) = [one for one in fit.warnings if "not at its maximum" in one]
     assert "the stage `marginal likelihood` did not run" in told and "`--stages`" in told and "ended early" not in told
     run = gbspec.open_run(tmp_path / "run").run

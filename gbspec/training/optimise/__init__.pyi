@@ -39,3 +39,5 @@ from .stage import Stage as Stage
 from .stage import State as State
 from .stage import require_finite as require_finite
 from .stage import scalar as scalar
+from .unfinished import not_at_maximum as not_at_maximum
+from .unfinished import promised_fall as promised_fall

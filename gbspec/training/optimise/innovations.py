@@ -20,12 +20,13 @@ from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.certainty import Certainty
-from gbspec.training.optimise.held import tied_at_bounds
+from gbspec.training.optimise.expected import ROUNDING, certainty_of
 from gbspec.training.optimise.lost import not_finite
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.released import released
 from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
 from gbspec.training.optimise.stage import Outcome, State, scalar
+from gbspec.training.optimise.unfinished import not_at_maximum
 from gbspec.training.problem import Integers
 
 ATTEMPTS = 12
@@ -58,8 +59,6 @@ LOWER, RELEASES = 1e-3, 3
 restricted likelihood may take a size back."""
 MOMENTS = ("start_mean", "start_cov", "end_mean", "end_cov", "shares")
 """The filter's moments and steps in the state, from which the next search of them begins."""
-ROUNDING = 1e-13
-"""The smallest information of a combination of entries, over the largest, that is more than rounding."""
 
 
 @dataclass(frozen=True)
@@ -158,14 +157,29 @@ class InnovationsFit:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration; after `ROUND` of them the next vector, and after the last one the best goes on."""
-        if f"{CONSTANT}theta" in state:
-            return self._compared(state, iteration)
+        outcome = self._compared(state, iteration) if f"{CONSTANT}theta" in state else self._stepped(state, iteration)
+        if iteration + 1 < self.total:
+            return outcome
+        return replace(outcome, unfinished=self._unfinished(outcome.state))
+
+    def _unfinished(self, state: State) -> ComputationError | None:
+        """What is to be said where the last of all iterations ended before a maximum."""
+        vector, ridge = np.concatenate([state["theta"], state["log_sd"]]), scalar(state, "ridge")
+        system = self._system(vector, ridge, _moments(state))
+        if scalar(state, "settled"):
+            system = replace(system, gradient=system.gradient + self._restricted(state, system, vector, ridge).slope)
+        move = self._move(system, 0.0, vector)
+        fall = -float(system.gradient @ move + 0.5 * move @ system.matrix @ move)
+        return not_at_maximum(2 * fall, self.total, stuck=False)
+
+    def _stepped(self, state: State, iteration: int) -> Outcome:
+        """An iteration from the present start, or from the next where that one fails."""
         try:
             outcome = self._iteration(state, iteration)
         except ComputationError:
             if not len(state["waiting"]) and not len(state["best"]):
                 raise
-            return self.step(self._next(state), iteration)
+            return self._stepped(self._next(state), iteration)
         left = scalar(state, "left") - 1
         new = {**state, **outcome.state, "left": np.array(left)}
         if not len(state["waiting"]) and not len(state["best"]):
@@ -378,54 +392,12 @@ class InnovationsFit:
         return Estimated(noise, np.ones(len(noise)))
 
     def certainty(self, state: State) -> Certainty:
-        """Standard deviations and correlations of constants from the inverse of the information; unknown (NaN) for a
-        constant on which the data say nothing, such as a diffusion that has gone to zero. What ended at a bound is held
-        there: it keeps the deviation by which that is seen, and no other depends on it."""
-        engine, parameters = self.engine, self.engine.parameters
+        """Standard deviations and correlations of constants at a state; see `certainty_of`."""
         vector = np.concatenate([state["theta"], state["log_sd"]])
         system = self._system(vector, scalar(state, "ridge"))
         if not system.found.finite:
-            return Certainty.unknown(parameters)
-        covariance = inverse(system.matrix, engine.layout.free, ROUNDING)
-        ended = engine.ended(vector, _roots(covariance))
-        gone, held = (
-            np.flatnonzero(ended[parameters.size :]) + parameters.size,
-            np.flatnonzero(ended[: parameters.size]),
-        )
-        free = _roots(self._held(system, gone))
-        covariance = self._held(system, np.concatenate([held, gone]))
-        maps, n = parameters.bijections(parameters.shared), parameters.n_weights
-        widths = maps.lengths(vector[n : parameters.n_shared])[held - n]
-        tied = tied_at_bounds(system.matrix, system.gradient, covariance, free, held, widths)
-        covariance[held, held] = free[held] ** 2
-        known = np.diag(system.matrix) > 10 * FLAT
-        theta = state["theta"]
-        places = np.arange(parameters.n_weights, parameters.n_shared)
-        slopes = parameters.bijections(parameters.shared).derivative(theta[places])
-        sd = _roots(covariance)
-        block = covariance[np.ix_(places, places)]
-        roots = np.maximum(sd[places], 1e-300) * np.where(slopes < 0, -1.0, 1.0)
-        own = np.zeros((parameters.trajectories, len(parameters.own)))
-        if parameters.own:
-            table = theta[parameters.n_shared :].reshape(-1, parameters.n_local)[:, : len(parameters.own)]
-            begin = parameters.n_shared + np.arange(parameters.trajectories)[:, None] * parameters.n_local
-            at = begin + np.arange(len(parameters.own))
-            own_slopes = np.abs(parameters.bijections(parameters.own).derivative(table.copy()))
-            own = np.where(known[at], own_slopes * sd[at], np.nan)
-        freedom = float(np.sum(known & (engine.layout.free > 0)))
-        deviations = np.where(known[places], np.abs(slopes) * sd[places], np.nan)
-        correlations = block / np.outer(roots, roots)
-        return Certainty(deviations, correlations, freedom, own, tied[places] if len(held) else np.zeros(0))
-
-    def _held(self, system: _System, entries: Integers) -> Array:
-        """The inverse of a matrix with these entries held."""
-        moving = self.engine.layout.free.copy()
-        moving[entries] = 0.0
-        return inverse(system.matrix, moving, ROUNDING)
-
-
-def _roots(covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
+            return Certainty.unknown(self.engine.parameters)
+        return certainty_of(self.engine, vector, system.found, system.matrix, system.gradient)
 
 
 def _prefixed(state: State) -> State:

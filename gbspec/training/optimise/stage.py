@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.diagnostics import ComputationError
 from gbspec.runs import SearchRecord
 from gbspec.training.engines import Engine, explain_failure
 
@@ -24,7 +25,8 @@ class Outcome:
     """The state after a step, the loss there (mean of half squared residuals), and whether the stage has ended.
 
     `note` is a warning for the user that is kept with the fit; `remark` says in words how far the stage is, in the
-    progress and afterwards in the summary; `search` is what a search has found so far.
+    progress and afterwards in the summary; `search` is what a search has found so far. `unfinished`, of the last step
+    of a likelihood, says why it is not at its maximum.
     """
 
     state: State
@@ -33,6 +35,7 @@ class Outcome:
     note: str = ""
     remark: str = ""
     search: SearchRecord | None = None
+    unfinished: ComputationError | None = None
 
 
 class Stage(Protocol):

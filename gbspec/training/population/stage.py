@@ -14,7 +14,7 @@ import torch
 
 from gbspec.arrays import Array, Mask
 from gbspec.diagnostics import ComputationError
-from gbspec.training.optimise import Outcome, State
+from gbspec.training.optimise import Outcome, State, not_at_maximum, promised_fall
 from gbspec.training.population.likelihood import Likelihood
 from gbspec.training.population.objective import Objective, Point
 from gbspec.training.population.undefined import undefined
@@ -34,8 +34,8 @@ SLOW, TIMES = 0.5, 5
 lowered the objective by less than this: half of what one parameter without effect changes by chance."""
 OFTEN = 5
 """With networks the modes are sought from several starts in every so many iterations."""
-TRIALS = 14
-"""Damped steps that are tried in one iteration."""
+TRIALS, DAMPED = 14, 1e-3
+"""Damped steps that are tried in one iteration, and the damping of the first one."""
 STUCK, ROUND = 1e-3, 10
 """A constant closer to a bound than this part of the bounds' width is there; iterations from each start."""
 APART = 0.1
@@ -169,7 +169,7 @@ class MarginalLikelihood:
         z = modes_of(self.parameters, self.likelihood, theta)
         first = 1.0 if self.ridge is None else self.ridge
         ridge = first if self.parameters.n_weights else 0.0
-        state: State = {"theta": theta, "z": z, "damping": np.array(1e-3), "ridge": np.array(ridge)}
+        state: State = {"theta": theta, "z": z, "damping": np.array(DAMPED), "ridge": np.array(ridge)}
         return state | {"falls": np.full(TIMES, np.inf), "quadrature": np.array(0.0)}
 
     def step(self, state: State, iteration: int) -> Outcome:
@@ -194,16 +194,24 @@ class MarginalLikelihood:
         falls = np.append(state["falls"][1:], fell)
         enough = max(FALL_OF_QUADRATURE if of_quadrature else FALL, self.likelihood.uncertain)
         slow = bool(self.parameters.n_weights) and float(falls.sum()) < SLOW
-        last = promised < enough * (1 + abs(now.objective)) or slow or new is now
+        rests = promised < enough * (1 + abs(now.objective)) or slow
+        last = rests or new is now
         moved = vector_of(self.parameters, self.likelihood, new.weights, new.u, new.z)
         reached: State = {"theta": moved, "z": new.z, "damping": np.array(damping), "ridge": np.array(ridge)}
         reached["falls"], reached["quadrature"] = falls, np.array(float(of_quadrature or last))
         if last and not of_quadrature and self.whole is not self.objective:
-            reached["damping"], last = np.array(1e-3), False
+            reached["damping"], last = np.array(DAMPED), False
+        ended = last or iteration + 1 == self.total
+        short = None if rests or not ended else self._unfinished(new, ridge, iteration, new is now)
         values = max(int(self.objective.marginal.predictions.problem.seen.sum()), 1)
-        return Outcome(
-            reached, new.objective / (2 * values), last, "", f"-2 log likelihood {new.minus2ll:.6g}{self.said}"
-        )
+        said = f"-2 log likelihood {new.minus2ll:.6g}{self.said}"
+        return Outcome(reached, new.objective / (2 * values), last, remark=said, unfinished=short)
+
+    def _unfinished(self, point: Point, ridge: float, iteration: int, stuck: bool) -> ComputationError | None:
+        """What is to be said where the stage ends at a point without resting; constants at bounds do not count."""
+        gradient, curvature = self.objective.gradient(point, ridge), self.objective.curvature(point, ridge)
+        moving = np.concatenate([np.ones(len(point.weights), dtype=np.bool_), ~self._at_bounds(point.u)])
+        return not_at_maximum(promised_fall(gradient, curvature, moving), iteration + 1, stuck)
 
     def _undefined(self, point: Point, gradient: Array | None, iteration: int) -> Exception:
         """The error to raise where the objective, or its derivatives, are no finite numbers."""
@@ -220,23 +228,23 @@ class MarginalLikelihood:
     def _trial(
         self, now: Point, gradient: Array, curvature: Array, ridge: float, damping: float
     ) -> tuple[Point, float, float]:
-        """The first damped step that lowers the objective, the fall that the undamped one promises, and the damping."""
+        """The first damped step that lowers the objective, the fall that a hardly damped one promises, and the
+        damping."""
         diagonal = np.maximum(np.diag(curvature), 1e-8 * max(float(np.diag(curvature).max()), 1e-300))
-        promised, count = 0.0, len(now.weights)
+        newton = np.linalg.solve(curvature + min(damping, DAMPED) * np.diag(diagonal), gradient)
+        promised, count = 0.5 * float(gradient @ newton), len(now.weights)
         most = now.objective + self.likelihood.uncertain * (1 + abs(now.objective))
         stuck = np.concatenate([np.zeros(count, dtype=np.bool_), self._at_bounds(now.u)])
         for trial in range(TRIALS):
             damped = curvature + damping * np.diag(diagonal)
             step = np.asarray(-np.linalg.solve(damped, gradient), dtype=np.float64)
-            if trial == 0:
-                promised = -0.5 * float(gradient @ step)
             step = _limited(step, damped, gradient, count, stuck)
             new = self.objective.at(now.weights + step[:count], now.u + step[count:], now.z, ridge)
             if new.objective <= most:
                 # A step that was tried in vain is not tried again at once.
                 return new, promised, max(damping / (10 if trial == 0 else 3), 1e-9)
             damping = max(damping * 6, 1e-4)
-        return now, promised, 1e-3
+        return now, promised, DAMPED
 
 
 def _limited(step: Array, damped: Array, gradient: Array, count: int, stuck: Mask) -> Array:

@@ -13,10 +13,8 @@ LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.JUMPS, StageName.FINER, S
 """The stages that end at a maximum of the likelihood where a model has one (`Model.marginal`)."""
 
 
-NO_FIT = (
-    "the likelihood is not at its maximum, so that constants are no estimates and have no intervals, and AIC and BIC "
-    "are left out"
-)
+NO_ESTIMATES = "the likelihood is not at its maximum, so that constants are no estimates and have no intervals"
+NO_FIT = f"{NO_ESTIMATES}, and AIC and BIC are left out"
 
 
 def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: bool) -> str:
@@ -28,6 +26,13 @@ def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: boo
     if maximum or not marginal:
         return said
     return f"{said}. It is no fit: {NO_FIT}; what may help: {error.remedy or 'other starts, or narrower bounds'}"
+
+
+def said_of_unfinished(name: str, error: ComputationError, marginal: bool) -> str:
+    """A warning of a stage that took its last step before a maximum of the likelihood: of a `marginal` model, or of
+    innovations."""
+    why = NO_FIT if marginal else NO_ESTIMATES
+    return f"the stage `{name}` ended early: {error.what}. It is no fit: {why}; what may help: {error.remedy}"
 
 
 def said_of_no_maximum(notes: Sequence[str], maximum: bool, held: bool) -> list[str]:

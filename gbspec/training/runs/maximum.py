@@ -7,14 +7,21 @@ from collections.abc import Callable
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.runs.ended_early import LIKELIHOODS
+from gbspec.diagnostics import ComputationError
+from gbspec.training.runs.ended_early import LIKELIHOODS, NO_FIT, said_of_unfinished
 from gbspec.training.runs.position import Position
 
 
-def note_maximum(position: Position, name: str) -> None:
-    """Notes that a stage came to its end, which is a maximum if it is one of a likelihood."""
-    position.maximum |= name in LIKELIHOODS
+def note_end(position: Position, name: str, unfinished: ComputationError | None, marginal: bool) -> None:
+    """Notes that a stage took its last step: at a maximum if it is one of a likelihood, unless it is `unfinished`. What
+    was said of earlier stages that did not come to one is no longer true at a maximum."""
     position.held &= not np.array_equal(position.best, position.theta)
+    if unfinished is not None:
+        position.maximum = False
+        position.notes.append(said_of_unfinished(name, unfinished, marginal))
+    elif name in LIKELIHOODS:
+        position.maximum = True
+        position.notes = [note for note in position.notes if NO_FIT not in note]
 
 
 def return_to_maximum(position: Position, score: Callable[[Array, list[str]], float] | None) -> None:

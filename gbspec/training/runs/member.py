@@ -40,7 +40,7 @@ from gbspec.training.runs.disturbed import certainties, steps_of, summarise
 from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_jumping
-from gbspec.training.runs.maximum import note_maximum, return_to_maximum
+from gbspec.training.runs.maximum import note_end, return_to_maximum
 from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
@@ -181,7 +181,7 @@ class _Runner:
             position.entry, position.entry_ridge = position.theta, position.ridge
             if planned.weigh is not None:
                 self._weigh(planned.weigh(self._reached(position.theta, begun)))
-        stage = planned.make(self._reached(position.entry, begun))
+        stage, at_end = planned.make(self._reached(position.entry, begun)), False
         try:
             if position.iteration == 0:
                 position.state = stage.begin(position.theta)
@@ -189,8 +189,9 @@ class _Runner:
             elif not position.state:
                 position.state = stage.begin(position.theta)
             self.context.cutting = self.context.cutting or planned.name is StageName.CUT
-            self._take_steps(stage, stop)
-            note_maximum(position, planned.name)
+            unfinished = self._take_steps(stage, stop)
+            note_end(position, planned.name, unfinished, self.context.model.marginal)
+            at_end = unfinished is None
         except ComputationError as error:
             position.notes.append(self._after_failure(planned, error))
             if position.iteration and position.maximum and self.context.model.marginal:
@@ -202,7 +203,7 @@ class _Runner:
                 self._weigh(weights)
                 return True
         position.marks[planned.name] = position.theta
-        self._take_certainty(stage)
+        self._take_certainty(stage, at_end)
         return True
 
     def _reached(self, theta: Array, begun: list[str]) -> Reached:
@@ -241,24 +242,27 @@ class _Runner:
         """The score of a vector after the stages that have begun, by the held-out data."""
         return held_out_score(self.context, self.parameters, theta, step_fraction(begun))
 
-    def _take_steps(self, stage: Stage, stop: Callable[[], bool]) -> None:
-        """The steps of a stage that remain. Raises ComputationError if one of them is impossible."""
+    def _take_steps(self, stage: Stage, stop: Callable[[], bool]) -> ComputationError | None:
+        """The steps of a stage that remain; returns why its end is no maximum of a likelihood, if that is so. Raises
+        ComputationError if a step is impossible."""
         position = self.position
         began = time.monotonic() - position.stages[-1].seconds
         while position.iteration < stage.total:
             outcome = stage.step(position.state, position.iteration)
             self._record(stage, outcome, time.monotonic() - began)
-            if outcome.done:
-                break
+            if outcome.done or outcome.unfinished is not None:
+                return outcome.unfinished
             if stop():
                 raise KeyboardInterrupt
             if time.monotonic() - self._saved > max(SAVE_EVERY, self._saving / SAVING_SHARE):
                 self.save()
+        return None
 
-    def _take_certainty(self, stage: Stage) -> None:
-        """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
+    def _take_certainty(self, stage: Stage, at_end: bool) -> None:
+        """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them, and a
+        likelihood that did not come to its end (`at_end`) has none."""
         position = self.position
-        if left_for_intervals(position.marks) is not None:
+        if left_for_intervals(position.marks) is not None or (isinstance(stage, InnovationsFit) and not at_end):
             position.certainty = Certainty(freedom=position.certainty.freedom)
         elif isinstance(stage, InnovationsFit):
             position.certainty, said = without_loosened(stage.certainty(position.state), self.parameters)

@@ -285,8 +285,8 @@ class Template:  # {{class}}
         x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
         k, f = self._parameters(x, constants)
         grid = [float(time) for time in times]
-        if any(not b > a for a, b in itertools.pairwise(grid)):
-            raise ValueError("times must increase")
+        if not grid or any(not b > a for a, b in itertools.pairwise(grid)):
+            raise ValueError("times must increase, and there must be at least one")
         limit = max_step if max_step is not None else self.info.get("max_step")
         if limit is not None and not limit > 0:
             raise ValueError(f"max_step must be positive, not {limit}")
