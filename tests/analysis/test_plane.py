@@ -68,9 +68,10 @@ def bogdanov() -> System:
     return textbook("bogdanov", ("x", "y"), rhs, {"a": nan, "b": nan}, {"x": (-2.0, 2.0), "y": (-2.0, 2.0)})
 
 
-def test_the_bogdanov_takens_normal_form() -> None:
-    boxes = ((-1.0, 1.0), (-1.0, 1.0))
-    hopf = hopf_curve(bogdanov(), ("a", "b"), boxes, np.zeros(2), (0.0, -0.5))
+@pytest.mark.parametrize("b", [-0.5, -4.0])  # with a frequency above one the greatest part of r is that of y
+def test_the_bogdanov_takens_normal_form(b: float) -> None:
+    boxes = ((-1.0, 1.0), (-5.0, 1.0))
+    hopf = hopf_curve(bogdanov(), ("a", "b"), boxes, np.zeros(2), (0.0, b))
     assert {kind for kind, _ in hopf.special} == {"bogdanov_takens"}
     (_, takens), *_ = hopf.special
     assert takens.values == pytest.approx((0.0, 0.0), abs=1e-9)

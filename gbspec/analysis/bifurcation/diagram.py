@@ -126,7 +126,7 @@ class Diagram(Shown):
             beyond = sum(bool(point.outside) for point in branch.points)
             lines.append(
                 f"  branch {i}: {len(branch.points)} steady states, {stable} stable"
-                + (f", {beyond} outside of the data" if beyond else "")
+                + (f", {beyond} outside of data or declared ranges" if beyond else "")
                 + f"; ends: {', '.join(branch.ends)}"
             )
         lines += [f"  {_describe(point, self.parameter, self.states)}" for point in self.special]

@@ -22,7 +22,7 @@ import numpy as np
 from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.bifurcation.hopf import critical_pair, normal_form
 from gbspec.analysis.systems import Box, Compiled, Family, System
-from gbspec.arrays import Array
+from gbspec.arrays import Array, ComplexArray
 from gbspec.backends import Casadi
 
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]
@@ -203,7 +203,7 @@ def hopf_curve(
     n = family.size
     jacobian = family.at(values[1]).linear(state, values[0])[1].reshape(n, n)
     frequency, q, _ = critical_pair(jacobian)
-    reference = q.real / float(q.real @ q.real)
+    reference = _reference(q)
     # q is rotated so that <q0, Re q> = 1 and <q0, Im q> = 0 hold at the start.
     q = q / complex(reference @ q)
     function = family.hopf(reference)
@@ -220,6 +220,17 @@ def hopf_curve(
 
     start = np.concatenate([state, q.real, q.imag, [frequency], values]) / scale
     return tracer.both_ways("hopf", start, describe, (("bautin", lambda point: lyapunov(point.y)),))
+
+
+def _reference(q: ComplexArray) -> Array:
+    """The vector q0 [n] of the extended system for an eigenvector q [n] (complex): as far from being orthogonal to
+    either axis of the ellipse that Re q and Im q span as it can be.
+
+    Where w vanishes r becomes the null vector of A and s vanishes; if q0 were orthogonal to that null vector, s would
+    grow without bound instead. It is near one of the axes, and which one is not known before.
+    """
+    axes, lengths, _ = np.linalg.svd(np.column_stack([q.real, q.imag]), full_matrices=False)
+    return np.asarray((axes[:, 0] / lengths[0] - axes[:, 1] / lengths[1]) / np.sqrt(2), dtype=np.float64)
 
 
 def _newton(function: Compiled, sizes: tuple[int, ...], guess: Array) -> Array | None:

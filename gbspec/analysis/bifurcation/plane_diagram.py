@@ -81,7 +81,7 @@ class PlaneDiagram(Shown):
             word = "Hopf curve" if curve.kind == "hopf" else "fold curve"
             lines.append(
                 f"  {word}: {', '.join(spans)}, {len(curve.points)} points"
-                + (f", {beyond} outside of the data" if beyond else "")
+                + (f", {beyond} outside of data or declared ranges" if beyond else "")
                 + f"; ends: {', '.join(curve.ends)}"
             )
             for kind, point in curve.special:
