@@ -136,6 +136,17 @@ def test_a_window_that_is_given_is_kept_and_training_rows_are_no_errors(run: Run
     assert item.used == ("window",) * 3 + ("training",) * 2 + ("predicted",) * 5
 
 
+def test_a_trajectory_without_measurements_starts_from_the_average(run: Run) -> None:
+    new = decay("new", 0.4, seed=9)
+    ahead = forecast(run, Trajectories((ahead_of(new, 0),), ("x",)))
+    (item,) = ahead.items
+    mean = float(np.mean(np.asarray(run.member(0).weights["initial"])))
+    assert item.start.origin == "average" and item.estimated and item.mean[0, 0] == pytest.approx(mean, rel=0.1)
+    assert "nothing was measured in the first rows: what is unknown is that of the training on average" in str(ahead)
+    (seen,) = forecast(run, Trajectories((new,), ("x",))).items
+    assert seen.start.origin == "estimated" and item.sd[0, 0] > seen.sd[0, 0]
+
+
 def ahead_of(item: Trajectory, measured: int) -> Trajectory:
     """The same trajectory, of which the rows after the first `measured` ones have no values."""
     values, counts = item.values.copy(), item.counts.copy()

@@ -271,7 +271,7 @@ class Estimator:
             else:
                 k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
                 k = np.clip(k, self.low, self.high)
-            return started(self.evaluator, item, x0, k, "estimated")
+            return started(self.evaluator, item, x0, k, "estimated" if measured.any() else "average")
 
         weights = self._weights(item.values)
 

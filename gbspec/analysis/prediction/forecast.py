@@ -364,7 +364,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     first = views[0].prediction.start
     start = replace(first, state=np.mean([v.prediction.start.state for v in views], axis=0))
     estimated: tuple[str, ...] = ()
-    if start.origin == "estimated":
+    if start.origin in ("estimated", "average"):
         free = each[0].estimator.free(item.at_rows(slice(rows)))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip

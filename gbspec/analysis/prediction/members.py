@@ -80,7 +80,7 @@ class MemberPredictions:
         refitted: Refit = unchanged
         if not found.failure:
             near = Nearby(self.evaluator, self.model, item, found, step_to_compare(self.run, self.number, item))
-            if start.origin in ("estimated", "continued", "learned"):
+            if start.origin in ("estimated", "average", "continued", "learned"):
                 variance, refitted = self._uncertainty(near, seen, estimator)
             for state, deviation in measured_deviations(self.run, item, estimator.free(seen)).items():
                 change = deviation * near.slope(deviation, state=state)

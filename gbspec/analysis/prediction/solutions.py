@@ -23,16 +23,17 @@ if TYPE_CHECKING:
     from gbspec.ir import Model
     from gbspec.runs import DataRecord
 
-Origin = Literal["learned", "continued", "known", "estimated", "smoothed", "failed"]
+Origin = Literal["learned", "continued", "known", "estimated", "average", "smoothed", "failed"]
 """The origin of an initial state: learned in training, of this trajectory or of its first rows; known (given by the
-model, or measured in the first row); estimated from the trajectory's own data; smoothed by all of them (disturbances);
-or failed, if none was found."""
+model, or measured in the first row); estimated from the trajectory's own data, or where it has none the average of the
+training; smoothed by all of them (disturbances); or failed, if none was found."""
 
 ORIGINS: dict[Origin, str] = {
     "learned": "part of the training data: predicted from the learned initial state",
     "continued": "the first rows are of the training data: later ones are predicted from what was learned there",
     "known": "the initial state is given by the first row and the model",
     "estimated": "what is unknown was estimated from the first rows, with all shared parameters held fixed",
+    "average": "nothing was measured in the first rows: what is unknown is that of the training on average",
     "smoothed": "shown by all measurements; `--window N` predicts the rows after the first N from these",
     "failed": "no initial state was found from which it can be solved",
 }
