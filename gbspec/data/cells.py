@@ -16,6 +16,8 @@ from gbspec.diagnostics import Cell, Findings
 
 MISSING = ("", "na", "n/a", "nan", "null", "none", "-", ".")
 """The texts for *not measured*, besides the empty cell; upper and lower case are equivalent."""
+BELOW = ("loq", "lloq", "lod", "blq", "bloq", "blod", "bql", "bdl", "nd", "n.d", "n/d", "not detected", "below limit")
+"""The usual words for a value below a limit of detection or quantification."""
 LARGEST, SMALLEST = 1e100, 1e-100
 """Magnitudes between which squares and quotients of numbers neither overflow nor vanish."""
 OTHER_UNIT = "choose a unit in which its values are of moderate size"
@@ -112,6 +114,8 @@ def _meant(text: str) -> str:
         return "a date or a time of day: write the time since the start as a number, in the model's unit of time"
     if match := re.match(r"[-+]?[\d.]+([eE][-+]?\d+)?", text):
         return f"keep only the number, `{match.group()}`, and put its unit into the model"
+    if text.lower().strip(" .") in BELOW:
+        return "write `<` and the limit as a number (`<0.05`: a censored value); empty means that nothing was measured"
     return "leave the cell empty where nothing was measured"
 
 

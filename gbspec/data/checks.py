@@ -97,7 +97,8 @@ def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findi
             "GB724",
             f"`{quantity.column}` is {cells.value[i]:g} in row {row}, and lognormal noise needs values above zero",
             Cell(table.path, row, quantity.column),
-            help="leave the cell empty if it means `not detected`, or choose `noise normal(…)`",
+            help="where nothing was detected, write `<` and the limit of detection (`<0.05`: a censored value), and "
+            "leave the cell empty where nothing was measured; `noise normal(…)` accepts zeros",
             notes=notes,
         )
 

@@ -231,6 +231,8 @@ def test_the_time_is_not_renamed_to_what_it_cannot_be(reading: Reader, column: s
             reactor(channels=reactor().channels[:1], learnables=(Learnable("Kx"),)),
             "`condition Kx` in place of the constant takes it from the table",
         ),
+        ("LOQ", "a censored value"),
+        ("n.d.", "a censored value"),
     ],
 )
 def test_a_column_of_a_name_that_the_model_has_for_something_else(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,8 +38,15 @@ def test_effects_are_estimated_for_each_trajectory_only_where_they_are_arguments
 def test_the_kernel_is_worth_its_compilation_for_a_population(tmp_path: Path) -> None:
     """Inner problems solve the model hundreds of times in each iteration."""
     model = model_of(NETWORK, tmp_path)
-    alone = replace(model, learnables=(), implied=())
-    assert [choice.few(one, TrainOptions(), 10) for one in (alone, model)] == [True, False]
+    assert model.distributed and not choice.few(model, TrainOptions(), 10)
+
+
+@pytest.mark.parametrize(("noise", "few"), [("normal(0.1)", True), ("normal(s)", False), ("poisson", False)])
+def test_the_kernel_is_worth_its_compilation_for_a_likelihood(noise: str, few: bool, tmp_path: Path) -> None:
+    """It was not even measured, since none of the stages counted, and the torch graph took twenty times as long."""
+    text = f"time t from 0\nstate x = 2\nlearn s = 0.4 in [0, 3]\nunknown f(x)\nx' = -f(x)\nobserve x noise {noise}\n"
+    model = model_of(f"model alone\n{text}", tmp_path)
+    assert not model.distributed and choice.few(model, TrainOptions(), 10) is few
 
 
 def test_effects_beside_a_network_are_pooled(tmp_path: Path) -> None:

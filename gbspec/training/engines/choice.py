@@ -56,9 +56,9 @@ class Choice:
 
 def few(model: Model, options: TrainOptions, substeps: int) -> bool:
     """Whether a kernel is not worth its compilation by the number of sub-steps alone."""
-    # A search for the best minimum solves the model thousands of times, however few the data are; so do the inner
-    # problems of a population.
-    often = (model.complete and options.method == "auto") or bool(model.distributed)
+    # A search for the best minimum solves the model thousands of times, however few the data are; so do a likelihood
+    # of learned noises and the pooled fits before it, and all the more the inner problems of a population.
+    often = (model.complete and options.method == "auto") or model.marginal
     return substeps < LEAST_SUBSTEPS and not often
 
 
