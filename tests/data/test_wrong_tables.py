@@ -231,8 +231,6 @@ def test_the_time_is_not_renamed_to_what_it_cannot_be(reading: Reader, column: s
             reactor(channels=reactor().channels[:1], learnables=(Learnable("Kx"),)),
             "`condition Kx` in place of the constant takes it from the table",
         ),
-        ("LOQ", "a censored value"),
-        ("n.d.", "a censored value"),
     ],
 )
 def test_a_column_of_a_name_that_the_model_has_for_something_else(
@@ -252,7 +250,14 @@ def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
 
 @pytest.mark.parametrize(
     ("cell", "hint"),
-    [('"2,5"', "2.5"), ("5 mg", "`5`"), ("10:30", "time of day"), ('"1,234,567"', "thousands")],
+    [
+        ('"2,5"', "2.5"),
+        ("5 mg", "`5`"),
+        ("10:30", "time of day"),
+        ('"1,234,567"', "thousands"),
+        ("LOQ", "a censored value"),
+        ("n.d.", "a censored value"),
+    ],
 )
 def test_a_cell_that_is_not_a_number_gets_a_hint(reading: Reader, cell: str, hint: str) -> None:
     _, findings = reading(HEAD + FIRST + f"1,1,{cell},1,0.3\n")
