@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array, Mask
 from gbspec.data.cells import OTHER_UNIT, SMALLEST
 from gbspec.data.columns import Quantity
+from gbspec.data.gaps import check_gaps
 from gbspec.data.plausibility import check_plausibility, check_times, interval
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
@@ -36,6 +37,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
             _one_limit(table, quantity, cells, findings)
         elif quantity.role == "input":
             _one_at_a_time(table, quantity, cells, findings)
+            check_gaps(table, quantity, model.inputs[quantity.index], cells, findings)
     start = starts_of(table, model.time.start)
     for quantity in wanted:
         if quantity.role == "condition":

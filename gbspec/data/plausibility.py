@@ -82,12 +82,17 @@ def _coded(table: Records, quantity: Quantity, cells: Series, code: float, findi
     row, count = int(found.min()), len(found)
     where = f"in row {row}" if count == 1 else f"in {count:,} cells, the first in row {row}"
     empty = "leave these cells empty" if count > 1 else "leave this cell empty"
+    advice = f"{empty} where nothing was measured"
+    if quantity.role != "channel":
+        advice = "put what the value was, as far as it is known, in its place"
+    if quantity.role == "input":
+        advice += ": where a cell is empty the value before holds, or is interpolated"
     findings.warning(
         "GB791",
         f"`{quantity.column}` is {code:g} {where}, and from {others.min():g} to {others.max():g} elsewhere: this may "
         "be a code for a missing value, and is read as a number",
         Cell(table.path, row, quantity.column),
-        help=f"{empty} where nothing was measured",
+        help=advice,
         subject=quantity.name,
     )
 
