@@ -17,11 +17,11 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import count_quantile
 from gbspec.operations import evaluating, tables
 from gbspec.training import TrainOptions, train
+from gbspec.training.population import Counted, with_held
 from gbspec.training.population.counts import NegativeBinomial, Poisson, size_information
 from gbspec.training.population.family import Family, Rows
 from gbspec.training.population.objective import Objective
 from gbspec.training.population.results import result_at
-from gbspec.training.runs.misjudged import Counted, with_held
 from tests.training.test_populations import marginal_of, model_of, table
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -303,7 +303,7 @@ def test_the_likelihood_with_a_constant_held_is_that_of_an_independent_profile(t
     at = made.layout.bijections.from_natural(np.array([best.x[2], np.exp(best.x[0]), np.exp(best.x[1])]))
     found = result_at(objective, weights, at, modes, 0.0)
     assert found.point.minus2ll == pytest.approx(best.fun, abs=1e-3)
-    value, point = with_held(Counted(objective), found, found.estimates.at("r"), held)
+    value, point = with_held(Counted(objective), found.point, found.ridge, found.estimates.at("r"), held)
     expected = minimize(minus2ll, best.x[:2], (held,), method="Nelder-Mead", options={"xatol": 1e-7, "maxiter": 2000})
     assert value == pytest.approx(expected.fun, abs=0.05)
     assert point.minus2ll == pytest.approx(expected.fun, abs=0.05)

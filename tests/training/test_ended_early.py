@@ -20,8 +20,8 @@ from gbspec.runs import FitRecord
 from gbspec.training import TrainOptions, stages, train
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.population import MarginalLikelihood
+from gbspec.training.population.held import _minimum
 from gbspec.training.population.objective import Point
-from gbspec.training.runs.misjudged import _minimum
 from gbspec.training.runs.position import Position, checkpoint, restored, write_position
 from gbspec.training.stages import StageName
 from tests.training.test_populations import decays, model_of

@@ -14,7 +14,13 @@ from gbspec.cli.output import Output
 def run(
     output: Output,
     directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
-    name: Annotated[str, typer.Argument(help="A learned constant that all trajectories share.", metavar="NAME")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="A learned constant that all trajectories share, or the median or the spread of a distributed one.",
+            metavar="NAME",
+        ),
+    ],
     to: Annotated[str | None, typer.Option("--output", "-o", help="A figure to write.", metavar="FIGURE")] = None,
     data: Annotated[
         str | None, typer.Option("--data", help="The training data, if the table was moved.", metavar="DATA")

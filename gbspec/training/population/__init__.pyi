@@ -3,6 +3,10 @@ from .discrepancies import examined as examined
 from .families import Families as Families
 from .family import Rows as Rows
 from .groups import Groups as Groups
+from .held import LOWER as LOWER
+from .held import Counted as Counted
+from .held import SpentError as SpentError
+from .held import with_held as with_held
 from .jumps import TimesOfJumps as TimesOfJumps
 from .jumps import values_of as values_of
 from .layout import Layout as Layout

@@ -17,9 +17,8 @@ reuse.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -27,7 +26,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.runs import ProfileRecord, Run, quantile, write_profile
+from gbspec.runs import Run, quantile
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import (
     Anchor,
@@ -41,18 +40,16 @@ from gbspec.training.optimise import (
 )
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijection, Parameters, Problem, typical
-from gbspec.training.profile.agreement import Found, compared, narrowing
+from gbspec.training.profile.agreement import narrowing
+from gbspec.training.profile.assembled import Basis, Fitted, Report, profile_from
+from gbspec.training.profile.marginal import profile_of_likelihood
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.refits import AGAIN, WEAK, Follower, Refit, Refits
-from gbspec.training.profile.result import Profile, ProfilePoint
-from gbspec.training.profile.said import said_of_better, said_of_bounds
-from gbspec.training.profile.side import Known, Side, closely
+from gbspec.training.profile.result import Profile
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 from gbspec.training.runs import agreed, at_bounds, widening
 
-WIDEST = 0.5
-"""Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
 INSIDE = 1e-3
 """Fits begin with constants off their bounds by this share of the range."""
 TIGHTER, MOST_TIGHTER = 10.0, 6
@@ -61,8 +58,6 @@ ROUNDS = 8
 """Iterations of the evidence at one linearisation."""
 CLEAN = 1e-6
 """The smallest standard deviation of the noise used for the deviance, in standard deviations of the data."""
-
-Report = Callable[[float, float], None]
 
 
 def profile_constant(
@@ -81,42 +76,15 @@ def profile_constant(
     """
     check(run.model, name)
     number = run.best if member is None else member
+    if run.model.marginal:
+        return profile_of_likelihood(run, name, trajectories, number, points, iterations, progress)
     profiler = _Profiler(run, name, trajectories, number, iterations)
     try:
         best = profiler.estimate()
     except np.linalg.LinAlgError as error:
         what = f"the profile of `{name}` cannot be started: derivatives at the estimate are not finite"
         raise ComputationError(what, remedy="train again with a smaller `--max-step`") from error
-    found = [best]
-    for direction in (-1.0, 1.0):
-        found += _side(profiler, best, direction, points, progress)
-    whole = _assembled(name, number, best, sorted(found, key=lambda one: one.value), profiler)
-    return _judged(run, whole, profiler.narrowed)
-
-
-def _judged(run: Run, found: Profile, narrowed: float) -> Profile:
-    """The profile beside the fit's interval, recorded in the run."""
-    known = run.fit.constants[found.name]
-    place = Found(found.estimate, found.low, found.high, found.settled, narrowed)
-    verdict = compared(place, known.value, known.interval, len(run.numbers))
-    ends = (found.low, found.high)
-    write_profile(
-        run.path,
-        ProfileRecord(found.name, found.member, found.estimate, ends, verdict.trust, verdict.words or None),
-    )
-    return replace(found, fitted=known.interval, comparison=verdict)
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """A fit with the constant at `value`: its vector and its penalised half sum of squares."""
-
-    value: float
-    theta: Array
-    objective: float
-    converged: bool
-    fraction: float = 1.0
-    exact: bool = True
+    return profile_from(run, number, profiler, best, points, progress, profiler.narrowed)
 
 
 class _Profiler:
@@ -142,11 +110,10 @@ class _Profiler:
         self.begin = self._vector(self.parameters, self.free)
         self.kept = Kept.of(run, member, name, trajectories)
         self.notes: list[str] = []
-        self.failed: dict[float, float] = {}
-        """The value at which nothing could be fitted, by the direction from the estimate."""
         self.variance, self.deviation, self.narrowed = 1.0, 0.0, 0.0
+        self.basis = Basis(name, self.column, self.threshold)
 
-    def estimate(self) -> _Fitted:
+    def estimate(self) -> Fitted:
         """The fit with all parameters free; sets the noise, the prior, and the linear path of the later fits."""
         theta, parameters = self.begin, self.parameters
         engine = self.free.engine(parameters, 0.0)
@@ -167,6 +134,8 @@ class _Profiler:
         self.deviation = math.sqrt(self.anchor.variance * self.variance)
         if self.target.ridge > first.ridge:
             self._compare(first, rest.theta)
+        noise = math.sqrt(self.variance)
+        self.basis = Basis(self.name, self.column, self.threshold, self.deviation, self.variance / 2, noise)
         return self._fitted(Refit(rest))
 
     def _freedom(self, problem: Problem, equations: NormalEquations, residuals: Array) -> float:
@@ -225,7 +194,7 @@ class _Profiler:
     def _anchor(self, theta: Array) -> Anchor:
         return Anchor(self.target.equations(theta), WEAK * self.variance, self.column)
 
-    def held(self, entry: float, neighbour: _Fitted) -> _Fitted:
+    def held(self, entry: float, neighbour: Fitted) -> Fitted:
         """The fit with the constant's entry of the vector at `entry`, from a neighbour moved along the linear path."""
         known = self.kept.find(entry, self.target.ridge)
         if known is not None:
@@ -248,17 +217,17 @@ class _Profiler:
         out[places] = np.where(bent, maps.from_natural(inside), out[places])
         return out
 
-    def _fitted(self, made: Refit) -> _Fitted:
+    def _fitted(self, made: Refit) -> Fitted:
         rest = made.rest
         converged = self._follower().at_rest(rest)
-        return _Fitted(self.natural(rest.theta), rest.theta, rest.objective, converged, made.fraction, made.exact)
+        return Fitted(self.natural(rest.theta), rest.theta, rest.objective, converged, made.fraction, made.exact)
 
     def natural(self, theta: Array) -> float:
         """The constant's value."""
         u = torch.from_numpy(theta[self.parameters.places])
         return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
 
-    def others(self, one: _Fitted) -> dict[str, float]:
+    def others(self, one: Fitted) -> dict[str, float]:
         """The other learned constants of a fit (for a constant per trajectory the mean)."""
         known = len(self.model.constants)
         values = self.parameters.constants(torch.from_numpy(one.theta)).numpy().mean(axis=0)[known:]
@@ -302,112 +271,29 @@ class _Profiler:
         starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
         return parameters.with_starts(theta, starts) if starts.shape == parameters.start_value.shape else theta
 
+    def remarks(self, fits: Sequence[Fitted]) -> list[str]:
+        """Sentences on the prior, the steps of fits, measured starts and the noise."""
+        notes = [*self.notes, *self._said_of_steps(fits)]
+        if self.holds_measured_starts:
+            notes.append("measured initial states stay as measured, so their noise is not in the interval")
+        if self.variance <= CLEAN**2:
+            notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
+        if self.widening > 1:
+            notes.append(f"residuals are autocorrelated: the interval is {self.widening:.2g} times as wide for it")
+        return notes
 
-def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progress: Report | None) -> list[_Fitted]:
-    """The fits on one side of the estimate, until its crossing of the threshold is known, or `most` are made."""
-    found = {0.0: best}
-    stride = direction * min(math.sqrt(profiler.threshold) * profiler.deviation, WIDEST)
-    side, outwards = Side(), 0.0
-    for _ in range(most):
-        place = side.next
-        neighbour = found[min(found, key=lambda one: abs(one - place))]
-        here = profiler.held(float(best.theta[profiler.column]) + place * stride, neighbour)
-        outwards = outwards or here.value - best.value
-        if not math.isfinite(here.objective):
-            profiler.failed[direction] = here.value
-            break
-        # The map of a constant whose starting value is on its bound turns back there.
-        if not (here.value - found[side.inside.place].value) * outwards > 0:
-            break
-        found[place] = here
-        deviance = 2.0 * (here.objective - best.objective) / profiler.variance
-        if progress is not None:
-            progress(here.value, deviance)
-        side.tell(place, math.sqrt(max(deviance, 0.0) / profiler.threshold))
-        if side.complete:
-            break
-    return [one for place, one in found.items() if place]
-
-
-def _assembled(name: str, member: int, begun: _Fitted, fits: list[_Fitted], profiler: _Profiler) -> Profile:
-    """The profile: deviances relative to the best of all fits, and where they cross the threshold; it has `begun` at
-    the run's fit."""
-    least = min(fits, key=lambda one: one.objective)
-    points = tuple(
-        ProfilePoint(one.value, 2.0 * (one.objective - least.objective) / profiler.variance, profiler.others(one),
-                     one.converged)
-        for one in fits
-    )  # fmt: skip
-    notes, at = [*profiler.notes, *_said_of_fits(fits, profiler)], fits.index(least)
-    level = math.sqrt(profiler.threshold)
-    sides = {"lower": points[at::-1], "upper": points[at:]}
-    low, high = (_crossing(side, level) for side in sides.values())
-    slow = sum(not point.converged for point in points)
-    if slow:
-        low = high = None
-        notes.append(f"{slow} of {len(points)} fits have not converged, so that their deviances are too large and no "
-                     "interval can be given: allow more `--iterations`")  # fmt: skip
-    else:
-        ends = (("below", low, -1.0), ("above", high, 1.0))
-        open_sides = [side for side, end, sign in ends if end is None and sign not in profiler.failed]
-        notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
-        notes += [text for which, side in sides.items() for text in _said_of_gap(which, side, level)]
-    notes += said_of_better(name, points[fits.index(begun)], points[at])
-    for side in sides.values():
-        notes += said_of_bounds(profiler.model, name, points[at].others, side[1:])
-    if profiler.holds_measured_starts:
-        notes.append("measured initial states stay as measured, so their noise is not in the interval")
-    if profiler.variance <= CLEAN**2:
-        notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
-    if profiler.widening > 1:
-        notes.append(f"residuals are autocorrelated: the interval is {profiler.widening:.2g} times as wide for it")
-    noise = math.sqrt(profiler.variance)
-    return Profile(name, member, least.value, points, low, high, noise, tuple(notes), profiler.threshold)
-
-
-def _said_of_fits(fits: list[_Fitted], profiler: _Profiler) -> list[str]:
-    """Sentences on values that could not be fitted, and on the steps of fits."""
-    name, notes = profiler.name, []
-    for value in profiler.failed.values():
-        notes.append(f"nothing could be fitted with {name} = {value:.4g}: the profile ends before it on this side")
-    finer = [one for one in fits if one.fraction < 1.0]
-    if finer:
-        values = ", ".join(f"{one.value:.4g}" for one in finer)
-        free, least = profiler.free, min(one.fraction for one in finer)
-        what, size = ("largest step", "max_step") if free.tolerance() is None else ("tolerance", "tolerance")
-        was, now = free.steps(1.0)[size], free.steps(least)[size]
-        notes.append(
-            f"the {what} of {was:.3g} of the fit is too large for {name} = {values}: there it is down to {now:.3g}"
-        )
-    unsure = ", ".join(f"{one.value:.4g}" for one in fits if not one.exact)
-    if unsure:
-        notes.append(f"with {name} = {unsure} the deviance depends on the solver's step: do not rely on it")
-    return notes
-
-
-def _enclosing(points: tuple[ProfilePoint, ...], level: float) -> tuple[Known, Known] | None:
-    """The first two points outwards between which the root of the deviance crosses a level, by their distances from the
-    first of all and their roots over this level."""
-    known = [Known(p.value - points[0].value, math.sqrt(max(p.deviance, 0.0)) / level) for p in points]
-    return next(((a, b) for a, b in pairwise(known) if a.root <= 1.0 < b.root), None)
-
-
-def _crossing(points: tuple[ProfilePoint, ...], level: float) -> float | None:
-    """Where the root of the deviance first crosses a level outwards, by interpolation (it is linear for a parabola)."""
-    found = _enclosing(points, level)
-    if found is None:
-        return None
-    a, b = found
-    return points[0].value + a.place + (1.0 - a.root) / (b.root - a.root) * (b.place - a.place)
-
-
-def _said_of_gap(which: str, points: tuple[ProfilePoint, ...], level: float) -> list[str]:
-    """A sentence if an end of the interval lies anywhere between two points that are far from each other."""
-    found = _enclosing(points, level)
-    if found is None or closely(*(Known(abs(one.place), one.root) for one in found)):
-        return []
-    first, second = (f"{points[0].value + one.place:.4g}" for one in found)
-    return [
-        f"the {which} end is interpolated between {first} and {second}, which are far apart: more `--points` locate it "
-        "better"
-    ]
+    def _said_of_steps(self, fits: Sequence[Fitted]) -> list[str]:
+        name, notes = self.name, []
+        finer = [one for one in fits if one.fraction < 1.0]
+        if finer:
+            values = ", ".join(f"{one.value:.4g}" for one in finer)
+            least = min(one.fraction for one in finer)
+            what, size = ("largest step", "max_step") if self.free.tolerance() is None else ("tolerance", "tolerance")
+            was, now = self.free.steps(1.0)[size], self.free.steps(least)[size]
+            notes.append(
+                f"the {what} of {was:.3g} of the fit is too large for {name} = {values}: there it is down to {now:.3g}"
+            )
+        unsure = ", ".join(f"{one.value:.4g}" for one in fits if not one.exact)
+        if unsure:
+            notes.append(f"with {name} = {unsure} the deviance depends on the solver's step: do not rely on it")
+        return notes

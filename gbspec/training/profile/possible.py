@@ -1,20 +1,48 @@
-"""Which constants have a profile."""
+"""Which parameters have a profile, and what the fit says of them."""
 
 from __future__ import annotations
 
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
+from gbspec.runs import Run
 
 
 def check(model: Model, name: str) -> None:
-    """Raises UserError: GB777 for populations, GB858 for what is not a learned constant that trajectories share."""
-    if model.marginal:
-        message = "profiles of models with populations or learned noises are not offered yet"
-        help = "`fit.json` has intervals from the information; `gbspec compare` tests one model against another"
-        raise UserError([Diagnostic("GB777", message, None, help=help, subject=name)])
-    known = [k.name for k in model.learnables if not k.per_trajectory]
+    """Raises UserError (GB858) for what is neither a learned constant that trajectories share, nor one whose
+    distribution has a learned median, nor the spread of a distribution."""
+    known = [*parameter_names(model), *_spreads(model)]
     if name not in known:
         listed = ", ".join(f"`{one}`" for one in known)
         help = f"the shared learned constants are {listed}" if known else "the model has no shared learned constant"
         message = f"`{name}` is not a learned constant that all trajectories share"
         raise UserError([Diagnostic("GB858", message, None, help=help, subject=name)])
+
+
+def parameter_names(model: Model) -> dict[str, str]:
+    """The names of the parameters of the constants that have a profile: their own, or those of their medians."""
+    found = {k.name: k.name for k in model.learnables if k.distribution is None and not k.per_trajectory}
+    return found | {
+        k.name: k.distribution.median for k in model.distributed if k.distribution and k.distribution.median
+    }
+
+
+def of_fit(run: Run, name: str) -> tuple[float, tuple[float, float] | None]:
+    """The estimate and the interval of the fit, of a constant or of a spread."""
+    if name in run.fit.constants:
+        return run.fit.constants[name].value, run.fit.constants[name].interval
+    assert run.fit.population is not None
+    effects = run.fit.population.effects
+    key = _spreads(run.model)[name]
+    found = effects.get(key) or effects[key.partition(" per ")[0]]
+    return found.sd, found.sd_interval
+
+
+def _spreads(model: Model) -> dict[str, str]:
+    """The learned spreads of distributions, with the names of the records that have them."""
+    out = dict[str, str]()
+    for k in model.distributed:
+        assert k.distribution is not None
+        columns = ("", *(f" per {level.column}" for level in k.distribution.levels))
+        names = (spread for spread, _ in k.distribution.spreads)
+        out |= {name: f"{k.name}{per}" for name, per in zip(names, columns, strict=True) if name is not None}
+    return out

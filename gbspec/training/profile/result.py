@@ -32,7 +32,7 @@ class ProfilePoint:
 class Profile(Shown):
     """A profile, ordered by value. `low` and `high` are the ends of the 90 % interval; None if the threshold was not
     reached on that side, or if some fit has not converged. `fitted` is the fit's interval; `comparison` says
-    which of both to trust."""
+    which of both to trust. `noise` is the standard deviation to which a deviance of squares refers."""
 
     name: str
     member: int
@@ -40,7 +40,7 @@ class Profile(Shown):
     points: tuple[ProfilePoint, ...]
     low: float | None
     high: float | None
-    noise: float
+    noise: float | None
     notes: tuple[str, ...] = ()
     threshold: float = THRESHOLD
     fitted: tuple[float, float] | None = None

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories
+from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, at_stable_step, build_context, prepared
-from gbspec.training.runs.position import Position, restored
+from gbspec.training.runs.position import Position, checkpoint, restored
 from gbspec.training.runs.remarks import Remarks
 from gbspec.training.stages import StageName
 
@@ -40,3 +42,31 @@ def beginning(
         tell(f"the step is {step:.3g} instead of {usual:.3g}, so that solutions are stable at the data")
     position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
     return ready.context, ready.parameters, position
+
+
+def as_left(context: Context, position: Position) -> None:
+    """Gives a context the noise and the steps with which a position was reached."""
+    context.estimated = position.estimated
+    context.cutting = context.cutting or StageName.CUT in [stage.name for stage in position.stages]
+
+
+def restored_fit(
+    model: Model,
+    module: type[GeneratedModule],
+    trajectories: Trajectories,
+    options: TrainOptions,
+    member: int,
+    directory: Path,
+) -> tuple[Context, Parameters, Position]:
+    """The context, the layout and the position with which the fit of a member has ended, from its checkpoint.
+
+    Raises UserError (GB852) if that is missing or damaged.
+    """
+    kept = checkpoint(directory)
+    if kept is None:
+        message = f"`{directory}` has no checkpoint, from which the fit could be gone on with"
+        raise UserError([Diagnostic("GB852", message, None, help="train again")])
+    found = beginning(model, module, trajectories, options, options.seed + member, kept, lambda text: None)
+    context, parameters, position = found
+    as_left(context, position)
+    return context, context.parameters(parameters.fixed, released=True), position

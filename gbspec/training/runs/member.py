@@ -33,7 +33,7 @@ from gbspec.training.recipe import (
     said_of_switches,
     step_fraction,
 )
-from gbspec.training.runs.beginning import beginning
+from gbspec.training.runs.beginning import as_left, beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
@@ -124,8 +124,7 @@ class _Runner:
         self.context, self.member = context, member
         self.directory, self.progress = directory, progress
         self.position = position
-        context.estimated = position.estimated
-        context.cutting = context.cutting or StageName.CUT in [stage.name for stage in position.stages]
+        as_left(context, position)
         self.plan = plan(context, parameters)
         # Stages that keep measured initial values leave their entries at zero, which represents the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
@@ -231,7 +230,7 @@ class _Runner:
             return
         self.context.estimated = position.estimated = noise
         if self._choosing:
-            position.best_score = self._held_out(position.best, [stage.name for stage in self._fitted_stages()])
+            position.best_score = self._held_out(position.best, [stage.name for stage in self.position.fitted_stages])
 
     @property
     def _choosing(self) -> bool:
@@ -319,10 +318,6 @@ class _Runner:
         position.best, position.best_score, position.best_stages = position.theta, score, len(position.stages)
         position.held = self._choosing  # until the stage comes to its end there
 
-    def _fitted_stages(self) -> list[StageRecord]:
-        """The stages up to the one that found the vector that is kept."""
-        return self.position.stages[: self.position.best_stages or None]
-
     def _constants(self, theta: Array) -> tuple[float, ...]:
         """Learned constants, in natural units; of those per trajectory the mean, or their distribution's median."""
         values = self.parameters.constants(torch.from_numpy(theta)).numpy()
@@ -342,7 +337,7 @@ class _Runner:
     def _result(self) -> MemberResult:
         position = self.position
         freedom = position.certainty.freedom
-        fitted = self._fitted_stages()
+        fitted = self.position.fitted_stages
         result = summarise(self.context, self.parameters, position.best, freedom, position.seconds, fitted)
         result.stages = list(position.stages)
         more: dict[str, object] = {}

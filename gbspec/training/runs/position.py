@@ -57,6 +57,11 @@ class Position:
     held: bool = False
     entry_ridge: float = 0.0
 
+    @property
+    def fitted_stages(self) -> list[StageRecord]:
+        """The stages up to the one that found the vector that is kept."""
+        return self.stages[: self.best_stages or None]
+
 
 def checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
     """The last checkpoint, if there is one. Raises `UserError` (GB852) if it is damaged."""

@@ -1,0 +1,106 @@
+"""Profiles of fits by a marginal likelihood: of populations, learned noises and counts.
+
+The constant, or the median of its distribution, is held at successive values, and all other parameters (constants,
+spreads, correlations, noises, weights) are refitted; the deviance is the difference of -2 log L, with the priors and
+the ridge of the fit, by the same step and the same method (Laplace's, or quadrature).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.data import Trajectories
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.runs import Run, files
+from gbspec.training.options import TrainOptions
+from gbspec.training.population import Counted, Point, modes_of, with_held
+from gbspec.training.profile.assembled import WIDEST, Basis, Fitted, Report, profile_from
+from gbspec.training.profile.possible import parameter_names
+from gbspec.training.profile.result import Profile
+from gbspec.training.recipe import marginal_objective
+from gbspec.training.runs import agreed, restored_fit
+
+
+def profile_of_likelihood(
+    run: Run, name: str, trajectories: Trajectories, member: int, points: int, iterations: int, progress: Report | None
+) -> Profile:
+    """The profile of a constant that trajectories share, of the median of a distributed one, or of a spread, at most
+    `points` values to either side; each refit takes at most `iterations` steps.
+
+    Raises UserError (GB777) if the fit is not at a maximum of its likelihood.
+    """
+    profiler = _OfLikelihood(run, name, trajectories, member, iterations)
+    return profile_from(run, member, profiler, profiler.estimate, points, progress)
+
+
+class _OfLikelihood:
+    """Maxima of the likelihood with one parameter held."""
+
+    def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
+        options = TrainOptions.recorded(run.fit.options, run.path)
+        options = agreed(run.fit.backend, run.model, run.module, options)
+        directory = files.member_directory(run.path, member)
+        context, parameters, position = restored_fit(run.model, run.module, trajectories, options, member, directory)
+        if not position.maximum or position.held:
+            raise _no_maximum(run)
+        self.model, self.iterations, self.ridge = run.model, iterations, float(position.ridge)
+        self.objective = marginal_objective(context, parameters, [one.name for one in position.fitted_stages])
+        layout, theta = self.objective.layout, position.best
+        self.layout, self.weights = layout, parameters.n_weights
+        z = modes_of(parameters, self.objective.marginal.likelihood, theta)
+        self.point = self.objective.at(theta[: self.weights], theta[layout.slice()], z, self.ridge, afresh=True)
+        self._names = {k: layout.names[parameter] for k, parameter in parameter_names(run.model).items()}
+        self.name = name
+        self.place = self._names[name] if name in self._names else layout.names[name]  # a spread
+        column = self.weights + self.place
+        self.basis = Basis(name, column, run.fit.quantile**2, self._deviation(column))
+        self.estimate = self._fitted(self.point, self.point.objective, converged=True)
+        self._points: dict[float, Point] = {float(self.estimate.theta[column]): self.point}
+
+    def _deviation(self, column: int) -> float:
+        """The standard deviation of an entry by the expected information, if that is known."""
+        curvature = self.objective.curvature(self.point, self.ridge) / 2
+        variance = float(np.linalg.pinv(curvature, hermitian=True)[column, column])
+        return math.sqrt(variance) if variance > 0 else WIDEST
+
+    def held(self, entry: float, neighbour: Fitted) -> Fitted:
+        """The maximum with the parameter's entry at `entry`, from that of a neighbour."""
+        start = self._points[float(neighbour.theta[self.basis.column])]
+        u = start.u.copy()
+        u[self.place] = entry
+        given = self.point, self.ridge, self.place, float(self._natural(u)[self.place]), start
+        found, point = with_held(Counted(self.objective), *given, steps=self.iterations)
+        if point is start:
+            return Fitted(given[3], np.concatenate([start.weights, u]), math.inf, False)
+        made = self._fitted(point, found if math.isfinite(found) else point.objective, math.isfinite(found))
+        self._points[float(made.theta[self.basis.column])] = point
+        return made
+
+    def _fitted(self, point: Point, objective: float, converged: bool) -> Fitted:
+        value = float(self._natural(point.u)[self.place])
+        return Fitted(value, np.concatenate([point.weights, point.u]), objective, converged)
+
+    def _natural(self, u: Array) -> Array:
+        return self.layout.natural(torch.from_numpy(u)).numpy()
+
+    def others(self, one: Fitted) -> dict[str, float]:
+        """The other constants of a fit, of distributed ones the medians."""
+        natural = self._natural(one.theta[self.weights :])
+        return {name: float(natural[place]) for name, place in self._names.items() if name != self.name}
+
+    def remarks(self, fits: Sequence[Fitted]) -> list[str]:
+        """A sentence on priors, which the deviance contains."""
+        if not self.objective.priors:
+            return []
+        return ["constants have priors: the deviance is that of the posterior density, not of the likelihood alone"]
+
+
+def _no_maximum(run: Run) -> UserError:
+    message = f"the fit of `{run.path}` is not at a maximum of its likelihood, around which a profile is computed"
+    help_text = "the warnings of the run say why, and what may help; with `--holdout` held-out data chose the point"
+    return UserError([Diagnostic("GB777", message, None, help=help_text)])
