@@ -20,9 +20,11 @@ from gbspec.training.population.jumps import SPREAD, TimesOfJumps, _Tried, value
 from gbspec.training.population.layout import Layout
 from gbspec.training.recipe import Context, only_in_jumps
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.unmoved import without_unmoved
+from gbspec.training.runs.unmoved import unmoved, without_unmoved
 from gbspec.training.stages import StageName
 from tests.training.conftest import model_of
+from tests.training.test_populations import NETWORK
+from tests.training.test_populations import model_of as population_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -203,3 +205,10 @@ def test_the_scale_of_a_search_is_that_of_the_range(bounds: str, middle: float) 
     low, high = stage._ends(place, middle)
     assert low < high and stage._value(place, (low + high) / 2) == pytest.approx(middle)
     assert [stage._value(place, each) for each in (low, high)] == pytest.approx(json.loads(bounds))
+
+
+def test_an_effect_is_no_constant_that_stayed(tmp_path: Path) -> None:
+    """It was counted out of the parameters, and said not to have been learned."""
+    model = population_of(NETWORK, tmp_path)
+    assert [k.name for k in model.learnables] == ["e"] and model.distributed
+    assert unmoved(model, {"e": 0.0}, {}, ["marginal likelihood"]) == []

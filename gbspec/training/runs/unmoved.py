@@ -35,8 +35,9 @@ def unmoved(model: Model, constants: Mapping[str, float], sd: Mapping[str, float
 
 
 def _of_all(learnable: Learnable) -> bool:
-    """Whether it is a constant of all trajectories, or one with a median of them all."""
-    return not learnable.per_trajectory or learnable.distribution is not None
+    """Whether it is a constant of all trajectories, or one with a median of them all; an effect has none."""
+    made = learnable.distribution
+    return bool(made.median) if made is not None else not learnable.per_trajectory
 
 
 def _open(learnable: Learnable, value: float, sd: float) -> bool:
