@@ -109,7 +109,7 @@ def without_misjudged(
     names = [k.name for k in shared]
     each = (held_by_data(k, result.constants[k.name], rise_of(names.index(k.name)), threshold) for k in open_ones)
     found = [one for one in each if one is not None]
-    return _taken(result, model, found, "`gbspec profile` gives intervals")
+    return _taken(result, model, found)
 
 
 def misjudged_of_population(result: MemberResult, objective: Objective, found: PopulationResult) -> list[str]:
@@ -149,7 +149,7 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
     open_ones = _open(result, model, [k for k in model.learnables if k.name in places])
     each = (held_by_data(k, result.constants[k.name], rise_of(k.name), threshold) for k in open_ones)
     held = [one for one in each if one is not None]
-    said = _taken(result, model, held, "A prior, or a value (`const`), gives one")
+    said = _taken(result, model, held)
     return [*said, *(_of_lower(name, *one) for name, one in lower.items())]
 
 
@@ -173,7 +173,7 @@ def _open(result: MemberResult, model: Model, learnables: Iterable[Learnable]) -
     return [k for k in learnables if covers(k, interval(k))]
 
 
-def _taken(result: MemberResult, model: Model, held: Sequence[Held], helps: str) -> list[str]:
+def _taken(result: MemberResult, model: Model, held: Sequence[Held]) -> list[str]:
     """Takes their standard deviations from constants that the data hold, and from those of single trajectories that are
     as open by the same curvature; a sentence of them."""
     if not held:
@@ -192,7 +192,7 @@ def _taken(result: MemberResult, model: Model, held: Sequence[Held], helps: str)
     said = (
         f"{listed} {verb} no interval: the curvature at the estimate, from which "
         f"intervals are computed, leaves {'it' if len(held) == 1 else 'them'} open, and the data do not: with "
-        f"{tried}, and all else refitted, the fit is clearly worse. {helps}"
+        f"{tried}, and all else refitted, the fit is clearly worse. `gbspec profile` gives intervals"
     )
     return [said + _exchanged(held)]
 

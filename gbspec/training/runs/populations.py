@@ -18,7 +18,7 @@ from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import HELPS, TIED, said_of_tied, without_tied
+from gbspec.training.runs.tied import SHOWN, TIED, said_of_tied, without_tied
 from gbspec.training.runs.unmoved import unmoved
 
 EXACTLY = 1e-6
@@ -123,7 +123,7 @@ def _without_tied(
     if any(f"`{name}`" in text for text in said for name in tied):
         return said
     ended = [name for name, one in found.loosened.items() if math.isnan(one)]
-    return [*said_of_tied(tied, ended, HELPS), *said]
+    return [*said_of_tied(tied, ended, SHOWN), *said]
 
 
 def _one_sum_of_squares(model: Model) -> bool:

@@ -38,7 +38,8 @@ STEPS, JACOBIANS = 12, 4
 """Steps with one Jacobian, and Jacobians, of each such fit."""
 LARGEST = 2**24
 """The most entries of a Jacobian with which constants are followed on this way: there are hundreds of them."""
-SHOWN, HELPS = "`gbspec profile` shows what the data say", "A prior, or a value that is known (`const`), helps"
+HELPS = "A prior, or a value that is known (`const`), helps"
+SHOWN = f"`gbspec profile` shows what the data say. {HELPS}"
 
 
 @dataclass(frozen=True)
@@ -92,9 +93,7 @@ def without_tied(
         )
         result.sd |= {one.name: math.nan for one in followed}
     result.tied_to_bounds |= frozenset((*tied, *(one.name for one in followed)))
-    # Profiles of models with learned noises are not offered.
-    helps = HELPS if context.model.marginal else f"{SHOWN}. {HELPS}"
-    return [*said_of_tied(tied, ended, helps), *(f"{one.words}. {helps}" for one in followed)]
+    return [*said_of_tied(tied, ended, SHOWN), *(f"{one.words}. {SHOWN}" for one in followed)]
 
 
 def _intervals(result: MemberResult, context: Context) -> dict[str, tuple[float, float]]:
