@@ -116,7 +116,7 @@ def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findi
         others = (
             f" (so are {count - 1:,} more of {known.sum():,} values: from {values.min():.6g} to {values.max():.6g})"
         )
-        advice = f"most values lie outside: {_ANOTHER_UNIT}; {advice}"
+        advice = f"most values lie outside: {_asked(values, bounds)}; {advice}"
     findings.warning(
         "GB725",
         f"`{quantity.column}` is {value:g} in row {row}, outside its range {interval(bounds)}{others}",
@@ -130,6 +130,12 @@ _ANOTHER_UNIT = (
     "is the column in another unit than the model (nothing is converted), or exchanged with another column? Convert it "
     "in the table or in the model"
 )
+
+
+def _asked(values: Array, bounds: Range) -> str:
+    """What may be the matter with a column of which these values lie outside of its range."""
+    turned = np.mean((-values >= bounds.low) & (-values <= bounds.high)) > 0.5
+    return f"has the column the opposite sign, or {_ANOTHER_UNIT}" if turned else _ANOTHER_UNIT
 
 
 def _mostly(outside: Index, known: Mask) -> bool:
@@ -176,7 +182,8 @@ def _as_argument(
             f"argument `{use.argument}` of `{use.unknown}` (so are {len(far) - 1:,} more of {known.sum():,} values: "
             f"from {values[far].min():.6g} to {values[far].max():.6g})",
             Cell(table.path, row, column),
-            help=f"most values lie outside: {_ANOTHER_UNIT}; change the range of the argument if such values are meant",
+            help=f"most values lie outside: {_asked(values[far], use.bounds)}; change the range of the argument if "
+            "such values are meant",
             subject=name,
         )
         return

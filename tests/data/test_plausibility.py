@@ -96,3 +96,10 @@ def test_a_column_of_which_most_values_are_outside(tmp_path: Path) -> None:
     assert "so are 19 more of 20 values: from 53.5 to 53.5" in found.message and "exchanged" in (found.help or "")
     (found,) = told(rows(np.linspace(280, 600, 20), u="50"), tmp_path)
     assert "`u` is 50" in found.message and "another unit" in (found.help or "")
+
+
+def test_a_column_of_the_opposite_sign(tmp_path: Path) -> None:
+    (found,) = told(rows(np.linspace(280, 600, 20), u="-1"), tmp_path)
+    assert "has the column the opposite sign, or is" in (found.help or "")
+    (found,) = told(rows(np.linspace(280, 600, 20), u="-50"), tmp_path)
+    assert "opposite sign" not in (found.help or "")
