@@ -161,12 +161,15 @@ def bundled() -> tuple[Bundled, ...]:
 def copied(path: str | Path, name: str) -> tuple[str, bool]:
     """The text of a model under another name, and whether its truth is complete, so that data can be simulated with it.
 
-    Comments are kept. What a model takes from a file that it extends is written into the copy, which stands alone; then
-    the comments of neither file are in it. Raises `UserError` if the model cannot be read or has errors.
+    Comments are kept. The copy stands alone: the points of its tables that are in files are written into it, and so is
+    what a model takes from a file that it extends; then the comments of neither file are in it. Raises `UserError` if
+    the model cannot be read or has errors.
     """
+    from gbspec.syntax import format_text
+
     source, model = frontend.read_source(path), frontend.load_model(path, Findings())
-    if _opening(source).extends is not None:
-        source = _source(model)
+    if model.text != source.text:  # what it takes from other files stands in it
+        source = Source("model.gb", format_text(_source(model)))
     span = _opening(source).name.span
     truths = {truth.name for truth in model.truth_functions}
     text = source.text[: span.start] + name + source.text[span.end :]
