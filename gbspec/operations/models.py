@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from gbspec import frontend
 from gbspec.diagnostics import Defect, Findings, Source, packages
+from gbspec.given import require_path
 from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ class Compiled:
 
 
 def is_run(path: str | Path) -> bool:
-    """Whether a path denotes a run directory."""
+    """Whether a path denotes a run directory. Raises TypeError for what is no path."""
+    require_path(path, "a model or a run is given by its path, or a bundled model by its name")
     return Path(path).is_dir()
 
 
@@ -60,6 +62,7 @@ def open_run(path: str | Path, values: Mapping[str, float] | None = None, findin
     """
     from gbspec.runs import open_run as open_directory
 
+    require_path(path, "a run is given by the path of its directory")
     return set_values(open_directory(path, findings), values)
 
 
