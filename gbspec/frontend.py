@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Defect, Diagnostic, Findings, Source, UserError
+from gbspec.given import require_path
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
@@ -92,9 +93,13 @@ def verified(model: Model, name: str) -> Model:
 
 
 def resolve(path: str | Path) -> Path:
-    """The path if it exists; else that of the bundled model with this name, if there is one; else the path."""
+    """The path if it exists; else that of the bundled model with this name, if there is one; else the path.
+
+    Raises TypeError for what is no path.
+    """
     from gbspec.data import shipped_models
 
+    require_path(path, "a model is given by its path, or a bundled one by its name")
     given = Path(path)
     return given if given.exists() else shipped_models().get(str(path), given)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.given import is_real, is_whole
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
@@ -135,12 +136,14 @@ class SimulateOptions:
     def check(self, findings: Findings) -> None:
         """Reports invalid options (GB754)."""
         rules = (
-            (self.trajectories >= 1, "trajectories", "at least 1"),
-            (self.span > 0 and math.isfinite(self.span), "span", "a number above zero"),
-            (self.dt > 0 and math.isfinite(self.dt), "dt", "a number above zero"),
+            (is_whole(self.trajectories) and self.trajectories >= 1, "trajectories", "a whole number, at least 1"),
+            (is_real(self.span) and 0 < self.span < math.inf, "span", "a number above zero"),
+            (is_real(self.dt) and 0 < self.dt < math.inf, "dt", "a number above zero"),
             (self.sampling in ("regular", "gamma"), "sampling", "`regular` or `gamma`"),
-            (self.noise >= 0 and math.isfinite(self.noise), "noise", "zero or more"),
-            (self.seed >= 0, "seed", "zero or more"),
+            (is_real(self.noise) and 0 <= self.noise < math.inf, "noise", "a number, zero or more"),
+            (is_whole(self.seed) and self.seed >= 0, "seed", "a whole number, zero or more"),
+            (_boxes(self.initial), "initial", "ranges by name, as in {'x1': (0.2, 0.95)}"),
+            (_boxes(self.condition), "condition", "ranges by name, as in {'Da': (0.2, 0.5)}"),
             (not self.clock or self.channels == "own-clock", "clock", "used with `channels` own-clock"),
             (
                 self.fraction is not None or self.channels in ("all", "own-clock"),
@@ -151,7 +154,8 @@ class SimulateOptions:
         for holds, name, expected in rules:
             if not holds:
                 value = getattr(self, name)
-                findings.error("GB754", f"`{name}` is {value}, and must be {expected}", None, subject=name)
+                shown = repr(value) if isinstance(value, str) and name not in ("sampling", "channels") else value
+                findings.error("GB754", f"`{name}` is {shown}, and must be {expected}", None, subject=name)
         for name, text in self.dose.items():
             try:
                 regimen(text)
@@ -166,17 +170,37 @@ class SimulateOptions:
                 )
 
     @property
+    def ranged(self) -> bool:
+        """Whether initial values and conditions are ranges by name."""
+        return _boxes(self.initial) and _boxes(self.condition)
+
+    @property
     def fraction(self) -> float | None:
         """The probability of each channel at a time, if `channels` is a probability; else None."""
         try:
             value = float(self.channels)
-        except ValueError:
+        except (TypeError, ValueError):
             return None
         return value if 0 < value <= 1 else None
 
 
+def _boxes(given: object) -> bool:
+    """Whether these are ranges by name."""
+    return isinstance(given, Mapping) and all(map(_box, given.values()))
+
+
+def _box(given: Any) -> bool:
+    try:
+        low, high = given
+    except (TypeError, ValueError):
+        return False
+    return is_real(low) and is_real(high)
+
+
 def fixed(options: SimulateOptions, values: Mapping[str, float], model: Model) -> SimulateOptions:
     """The options with every condition and input among `values` (`--set`) held at its value, unless a box names it."""
+    if not options.ranged:  # an error of its own
+        return options
     external = {item.name for item in (*model.conditions, *model.inputs)}
     held = {name: (value, value) for name, value in values.items() if name in external}
     return replace(options, condition={**held, **options.condition})

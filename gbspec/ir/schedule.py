@@ -26,6 +26,11 @@ _ROUNDING = 8
 Quantities = tuple[tuple[Expr, bool], ...]
 
 
+def may_jump(model: Model) -> bool:
+    """Whether the times of jumps may depend on constants: those of events, and of doses with a lag."""
+    return bool(model.events) or any(dose.lag.free_symbols for dose in model.doses)
+
+
 def scheduled(model: Model) -> Quantities:
     """What decides when right sides, and what they see of the past, jump, as far as it depends on the time, constants
     and conditions alone, the inner ones first: arguments of `floor` (True), and differences that are compared

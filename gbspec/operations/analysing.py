@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Diagnostic, UserError, packages
+from gbspec.given import is_whole
 from gbspec.ir import not_categories
 from gbspec.operations.models import Subject, truth_of
 
@@ -208,7 +209,12 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
 
 @packages()
 def predict(run: Run, data: Trajectories, *, window: int | None = None, path: str | Path | None = None) -> Forecast:
-    """Predictions of a run for a table, from the first `window` measured rows; also written to `path`, if given."""
+    """Predictions of a run for a table, from the first `window` measured rows; also written to `path`, if given.
+
+    Raises `UserError` (GB814) for a window that is no whole number of at least 1.
+    """
+    if window is not None and not (is_whole(window) and window >= 1):
+        raise UserError([Diagnostic("GB814", f"the window is {window}, and must be a whole number, at least 1", None)])
     from gbspec.analysis import forecast
     from gbspec.report import write
 
@@ -242,7 +248,9 @@ def function_frame(run: Run, name: str, points: object) -> pl.DataFrame:
     columns = frame_columns(points) if is_frame(points) else _columns(name, arguments, points)
     lacking = [argument for argument in arguments if argument not in columns]
     if lacking:
-        raise ValueError(f"`{name}` is a function of {', '.join(arguments)}: no column is named {', '.join(lacking)}")
+        raise ValueError(
+            f"`{name}` is a function of {', '.join(arguments)}: no column of numbers is named {', '.join(lacking)}"
+        )
     at = np.stack([columns[argument] for argument in arguments], axis=-1)
     value, low, high = function_bands(run, name, at)
     found = {**{argument: columns[argument] for argument in arguments}, "value": value, "low": low, "high": high}

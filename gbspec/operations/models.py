@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from gbspec import frontend
 from gbspec.diagnostics import Defect, Findings, Source, packages
+from gbspec.given import require_path
 from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ class Compiled:
 
 
 def is_run(path: str | Path) -> bool:
-    """Whether a path denotes a run directory."""
+    """Whether a path denotes a run directory. Raises TypeError for what is no path."""
+    require_path(path, "a model or a run is given by its path, or a bundled model by its name")
     return Path(path).is_dir()
 
 
@@ -60,6 +62,7 @@ def open_run(path: str | Path, values: Mapping[str, float] | None = None, findin
     """
     from gbspec.runs import open_run as open_directory
 
+    require_path(path, "a run is given by the path of its directory")
     return set_values(open_directory(path, findings), values)
 
 
@@ -161,12 +164,15 @@ def bundled() -> tuple[Bundled, ...]:
 def copied(path: str | Path, name: str) -> tuple[str, bool]:
     """The text of a model under another name, and whether its truth is complete, so that data can be simulated with it.
 
-    Comments are kept. What a model takes from a file that it extends is written into the copy, which stands alone; then
-    the comments of neither file are in it. Raises `UserError` if the model cannot be read or has errors.
+    Comments are kept. The copy stands alone: the points of its tables that are in files are written into it, and so is
+    what a model takes from a file that it extends; then the comments of neither file are in it. Raises `UserError` if
+    the model cannot be read or has errors.
     """
+    from gbspec.syntax import format_text
+
     source, model = frontend.read_source(path), frontend.load_model(path, Findings())
-    if _opening(source).extends is not None:
-        source = _source(model)
+    if model.text != source.text:  # what it takes from other files stands in it
+        source = Source("model.gb", format_text(_source(model)))
     span = _opening(source).name.span
     truths = {truth.name for truth in model.truth_functions}
     text = source.text[: span.start] + name + source.text[span.end :]

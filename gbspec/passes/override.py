@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.given import is_real
 from gbspec.ir import Condition, Constant, Input, Learnable, Model, Range, TruthConstant, not_categories
 from gbspec.passes.contracts import with_contracts
 
@@ -23,10 +24,14 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     Raises:
         UserError: GB804, one diagnostic for each name that is none of these, or whose value is not finite; GB383 for
             numbers of no category; GB6xx if a contract cannot be guaranteed with these values.
+        TypeError: if these are no values by name.
     """
+    if not isinstance(values, Mapping):
+        raise TypeError(f"values are numbers by name, as in {{'k': 0.5}}, not {type(values).__name__}")
     names = [*model.constant_names, *(c.name for c in model.conditions), *(i.name for i in model.inputs)]
     problems = [problem for name, value in values.items() if (problem := _problem(name, value, names)) is not None]
-    problems += not_categories(model.conditions, {name: (value,) for name, value in values.items()})
+    if not problems:
+        problems += not_categories(model.conditions, {name: (value,) for name, value in values.items()})
     if problems:
         raise UserError(problems)
     learnable = {k.name for k in model.learnables}
@@ -55,7 +60,7 @@ def _problem(name: str, value: float, names: list[str]) -> Diagnostic | None:
         return Diagnostic(
             "GB804", f"`{name}` cannot be set: it is not a constant, condition or input of the model", None, help=help_
         )
-    if not math.isfinite(value):
+    if not (is_real(value) and math.isfinite(value)):
         return Diagnostic("GB804", f"the value {value} for `{name}` is not a finite number", None)
     return None
 

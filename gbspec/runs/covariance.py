@@ -79,6 +79,19 @@ class Covariance:
             self, conditional=kept[:, None] * self.conditional * kept, coupling=kept[:, None] * self.coupling
         )
 
+    def at_most(self, spreads: Mapping[str, float]) -> Covariance:
+        """The covariance where constants were measured besides, with these standard deviations, in their units; 0: they
+        are known. Others that the data tie to them are known as much better; weights, if there are any, are not."""
+        conditional, coupling = self.conditional.copy(), self.coupling.copy()
+        for name, spread in spreads.items():
+            place = self.constants.index(name)
+            along = conditional[:, place].copy()
+            if (total := along[place] + spread**2) > 0:
+                conditional -= np.outer(along, along) / total
+            if not spread:
+                conditional[place] = conditional[:, place] = coupling[place] = 0.0
+        return replace(self, conditional=0.5 * (conditional + conditional.T), coupling=coupling)
+
     def widened(self, factor: float) -> Covariance:
         """The covariance if the data have noise with a standard deviation `factor` times as large."""
         shares = np.maximum(self.shares, 1e-300)

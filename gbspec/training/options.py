@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Findings
+from gbspec.given import is_real, is_whole
 from gbspec.ir import AUTO, METHODS, RK4, STIFF, listed, unknown_method
 from gbspec.training.stages import UNNAMED, Effort, StageName
 
@@ -217,18 +218,17 @@ class TrainOptions:
             ("quadrature", 1),
         ):
             value = getattr(self, name)
-            low = 0 if name == "seed" else 1
-            if value is not None and value < low:
+            if not self._left_out(name) and not (is_whole(value) and value >= low):
                 report(name.replace("_", "-"), value, f"a whole number of at least {low}")
         for name in ("max_step", "learning_rate", "output_scale"):
             value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
+            if not self._left_out(name) and not (is_real(value) and 0 < value < float("inf")):
                 report(name.replace("_", "-"), value, "a positive number")
         if self.scheduler is not None and not all(self.scheduler.partition("://")):
             report("scheduler", self.scheduler, "an address such as tcp://host:8786")
-        if not 0 <= self.holdout < 1:
+        if not (is_real(self.holdout) and 0 <= self.holdout < 1):
             report("holdout", self.holdout, "at least 0 and below 1")
-        if self.ridge is not None and not 0 <= self.ridge < float("inf"):
+        if self.ridge is not None and not (is_real(self.ridge) and 0 <= self.ridge < float("inf")):
             report("ridge", self.ridge, "a non-negative number")
         for name in self.named_stages or ([self.stages] if self.stages is not None else []):
             if name not in STAGES:
@@ -242,7 +242,7 @@ class TrainOptions:
             findings.add(unknown_method(self.solver))
         if self.tolerance is not None:
             known = METHODS.get(self.solver)
-            if not 0 < self.tolerance < 1:
+            if not (is_real(self.tolerance) and 0 < self.tolerance < 1):
                 report("tolerance", self.tolerance, "above 0 and below 1")
             elif known is not None and known.b_error is None:
                 reason = f"left out with `--solver {self.solver}`, which has no error estimate"
@@ -252,6 +252,10 @@ class TrainOptions:
         for name, allowed in chosen.items():
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
+
+    def _left_out(self, name: str) -> bool:
+        """Whether an option that may be None is."""
+        return getattr(self, name) is None and getattr(type(self), name) is None
 
     def to_json(self) -> dict[str, str | int | float | bool | None]:
         """All options by name, as stored in `fit.json`, except those that belong to a call and not to a run."""

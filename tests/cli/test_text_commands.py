@@ -16,7 +16,8 @@ from gbspec.backends.registry import backends
 from gbspec.cli.app import build
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
-from gbspec.frontend import STAGES, after
+from gbspec.frontend import STAGES, after, load_model
+from gbspec.operations import models
 
 Run = Callable[..., Any]
 
@@ -206,7 +207,7 @@ def test_a_state_that_is_not_measured_and_leaves_its_range_is_told(gbspec: Run, 
     assert "note: `soc`: 40 of 40 values lie far outside of its range [0, 1]: from " in told.stderr
 
 
-@pytest.mark.parametrize("name", ["fed_batch", "urp_gb2", "alpha_pinene"])
+@pytest.mark.parametrize("name", ["fed_batch", "urp_gb2", "alpha_pinene", "cell"])
 def test_a_copy_of_a_bundled_model_stands_alone_under_its_new_name(
     gbspec: Run, document: Run, here: Path, name: str
 ) -> None:
@@ -217,6 +218,13 @@ def test_a_copy_of_a_bundled_model_stands_alone_under_its_new_name(
     (copy,) = document("check", "mine.gb")["files"]
     (original,) = document("check", name)["files"]
     assert (copy["model"], copy["states"], copy["learnables"]) == ("mine", original["states"], original["learnables"])
+
+
+def test_a_copy_of_each_bundled_model_checks(here: Path) -> None:
+    for name in shipped_models():
+        text, _ = models.copied(name, "mine")
+        (here / "mine.gb").write_text(text)
+        assert load_model("mine.gb", Findings()).name == "mine", name
 
 
 def test_a_copy_keeps_comments_and_says_nothing_of_simulation_without_a_truth(gbspec: Run, here: Path) -> None:

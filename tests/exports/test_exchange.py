@@ -84,6 +84,10 @@ observe T noise normal(0.5)
 """,
     "t,T\n0.5,17\n1,18.5\n2.1,20\n4.4,19\n7,21\n",
 )
+WAITING = (
+    SWITCHED[0].replace("when T <= low priority 2", "when T <= low after 0.4").replace("switched", "waiting"),
+    SWITCHED[1],
+)
 RESTING = (
     """model resting
 time t from 0
@@ -127,7 +131,14 @@ observe y = x + steps noise normal(0.5)
 """,
     "t,y\n0.5,1.5\n1,1.1\n2.1,1\n3,2\n",
 )
-CASES = {"plain": PLAIN, "driven": DRIVEN, "switched": SWITCHED, "resting": RESTING, "repeated": REPEATED}
+CASES = {
+    "plain": PLAIN,
+    "driven": DRIVEN,
+    "switched": SWITCHED,
+    "waiting": WAITING,
+    "resting": RESTING,
+    "repeated": REPEATED,
+}
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)

@@ -118,6 +118,35 @@ def test_a_displaced_solution_that_does_not_exist_is_sought_nearer() -> None:
     assert displaced.variance(start, np.zeros((1, 1)), solve) == pytest.approx(12.0, rel=1e-6)
 
 
+@pytest.mark.parametrize("edge", [0.0, 5e-5, 0.004])
+def test_a_jump_beside_the_estimate_is_no_derivative(edge: float) -> None:
+    """A row that an event passes at this displacement of a constant has the derivative on this side of it."""
+    known = Covariance((), ("a",), 1.0, np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.array([[0.25]]))
+    module = SimpleNamespace(constants=("a",), weights={}, info={}, shapes=dict)
+    displaced = Displaced(module, known, jumping=True)  # type: ignore[arg-type]  # what it needs of a member
+    displaced._displaced = lambda weights, constants: (None, constants)  # type: ignore[method-assign,assignment,return-value]
+
+    def solve(_: object, start: Start) -> Array:
+        a = float(start.constants[0])
+        return np.array([[3.0 * a + (7.0 if a > edge else 0.0), 2.0 * a]])
+
+    start = Start(np.zeros(0), np.zeros(1), "known")
+    found = displaced.variance(start, solve(None, start), solve)
+    assert found == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
+
+
+def test_constants_may_be_known_besides() -> None:
+    """As if they had been measured, which adds to their precision; without an error nothing of them is left."""
+    root = np.random.default_rng(0).standard_normal((3, 3))
+    own, empty = root @ root.T, np.zeros((0, 0))
+    known = Covariance((), ("a", "b", "c"), 1.0, empty, np.zeros(0), np.zeros((3, 0)), own)
+    precision = np.linalg.inv(own) + np.diag([0.0, 1 / 0.3**2, 1 / 0.2**2])
+    assert known.at_most({"b": 0.3, "c": 0.2}).conditional == pytest.approx(np.linalg.inv(precision), rel=1e-9)
+    left = own[0, 0] - own[0, 1:] @ np.linalg.solve(own[1:, 1:], own[1:, 0])
+    exact = known.at_most({"b": 0.0, "c": 0.0}).conditional
+    assert exact == pytest.approx(np.diag([left, 0.0, 0.0]), rel=1e-9)
+
+
 def test_weaker_data_leave_more_of_the_prior() -> None:
     rng = np.random.default_rng(0)
     design = rng.standard_normal((3, 5))

@@ -86,3 +86,17 @@ def test_exact_data_jump_nowhere() -> None:
     data = Trajectories((trajectory("1", 0.0, TIMES, np.round(exact, 7)[:, None], []),), ("x",))
     ready = prepare(model, load_module(model, RK4), data, TrainOptions(solver="rk4", max_step=0.1), 0)
     assert at_jumps(ready.context.engine(ready.parameters, 0.0), with_constants(ready, 0.4, 3.4)) == []
+
+
+def test_predictions_do_not_depend_on_where_between_rows_an_event_is(tmp_path: Path) -> None:
+    """The time and the size of a kick can be exchanged between two rows, without a change at any row."""
+    text = TEXT.replace("x = x + 1", "x = x + size").replace("in [0.2, 9.8] = 6", "in [2, 5] = 3.4")
+    (tmp_path / "m.gb").write_text(text.replace("x' =", "learn size in [0, 5] = 1\nx' ="))
+    rows = "".join(f"{t},{x:.5f}\n" for t, x in zip(TIMES, measured(), strict=True))
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    run = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low")
+    fit = json.loads((tmp_path / "run" / "fit.json").read_text())
+    assert fit["constants"]["t0"]["interval"] is None and fit["constants"]["size"]["interval"] is None
+    found = run.predict(tmp_path / "d.csv")
+    assert (found.items[0].sd < 0.1).all()
+    assert any("`t0`" in said and "no interval" in said for said in found.warnings)

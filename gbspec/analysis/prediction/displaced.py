@@ -5,6 +5,9 @@ more of them, by random draws from it; all of them shortened by the same factor,
 range and none blows up, in both directions: what is quadratic cancels in the difference of both. The mean square of
 half of it, over the square of the factor, is the variance of the linearised model. A pair of which a solution does not
 exist is shortened once more.
+
+Where an event passes a row between the two, that row's difference is no derivative: that of a pair shortened once more
+counts, or, where the event is at the row, that of the side that it does not pass.
 """
 
 from __future__ import annotations
@@ -34,6 +37,9 @@ quadratic part of so many weights was up to 400 times the linear one with a fact
 SHORTER = 1e-2
 """Where a displaced solution does not exist, the displacement is shortened further by this factor."""
 
+JUMPED = 3.0
+"""A difference over the factor that changes by more than this with a shorter displacement is a jump, not a slope."""
+
 Solve = Callable[["Evaluator", Start], Array]
 """The variables [R, V] along a trajectory; NaN where it cannot be solved."""
 
@@ -48,12 +54,16 @@ def unchanged(change: Array) -> Array:
 
 class Displaced:
     """Displaced copies of a member; `covariance` None: what is not known has no variance. `given` are constants that
-    the user has set, which are not displaced."""
+    the user has set, which are not displaced. `jumping`: times at which solutions jump may depend on constants."""
 
     def __init__(
-        self, member: GeneratedModule, covariance: Covariance | None, given: frozenset[str] = frozenset()
+        self,
+        member: GeneratedModule,
+        covariance: Covariance | None,
+        given: frozenset[str] = frozenset(),
+        jumping: bool = False,
     ) -> None:
-        self.member, self.covariance, self.given = member, covariance, given
+        self.member, self.covariance, self.given, self.jumping = member, covariance, given, jumping
         self._pairs: dict[tuple[int, float], list[tuple[Evaluator, Array]]] = {}
 
     @property
@@ -92,11 +102,31 @@ class Displaced:
         """The variance of `variables` [R, V], the solution from `start`, which follows the model as `refitted` says."""
         squares = []
         for number in range(len(self._draws)):
-            for factor in (self._small, self._small * SHORTER):  # columns cannot stand for each other, as draws can
-                sides = self._pair(number, factor)
-                up, down = (solve(one, replace(start, constants=start.constants + change)) for one, change in sides)
-                square = refitted((up - down) / (2 * factor)) ** 2
-                if np.isfinite(square).all():
-                    squares.append(square)
-                    break
+            slope = self._slope(number, start, variables, solve)
+            if slope is not None and np.isfinite(square := refitted(slope) ** 2).all():
+                squares.append(square)
         return np.mean(squares, axis=0) if squares else np.zeros_like(variables)
+
+    def _slope(self, number: int, start: Start, variables: Array, solve: Solve) -> Array | None:
+        """The derivative [R, V] of the solution along a draw; None where displaced solutions do not exist."""
+        found: Array | None = None
+        for factor in (self._small, self._small * SHORTER):  # columns cannot stand for each other, as draws can
+            sides = self._pair(number, factor)
+            up, down = (solve(one, replace(start, constants=start.constants + change)) for one, change in sides)
+            slope = (up - down) / (2 * factor)
+            if not np.isfinite(slope).all():
+                continue
+            if not self.jumping:
+                return np.asarray(slope, dtype=np.float64)
+            if found is not None:
+                return _without_jumps(found, slope, (up - variables) / factor, (variables - down) / factor)
+            found = slope
+        return found
+
+
+def _without_jumps(wide: Array, near: Array, ahead: Array, behind: Array) -> Array:
+    """Differences that no jump passes, of those of a displacement (`wide`), and of a shorter one to both sides, ahead
+    and behind."""
+    one_side = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
+    found = np.where(np.abs(wide) > JUMPED * np.abs(near), near, wide)
+    return np.where(np.abs(near) > JUMPED * np.abs(wide), one_side, found)

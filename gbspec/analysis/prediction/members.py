@@ -23,7 +23,7 @@ from gbspec.analysis.prediction.solutions import (
     started,
 )
 from gbspec.arrays import Array
-from gbspec.ir import slopes
+from gbspec.ir import may_jump, slopes
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
@@ -61,7 +61,7 @@ class MemberPredictions:
         self.longer = continued_positions(evaluator.instance, trajectories, run.fit.data)
         pairs = zip(learned, self.longer, strict=True)
         self.positions = [position if begun is None else None for position, begun in pairs]
-        self.displaced = Displaced(evaluator.instance, self.covariance, frozenset(run.values))
+        self.displaced = Displaced(evaluator.instance, self.covariance, frozenset(run.values), may_jump(run.model))
 
     @cached_property
     def freed(self) -> Estimator:

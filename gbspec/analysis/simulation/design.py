@@ -132,7 +132,8 @@ def _known(
 def _array(names: Sequence[str], declared: Mapping[str, Box | None], chosen: Mapping[str, Box]) -> Array:
     """Ends of the boxes, [names, 2]; NaN for names without a box."""
     nothing = (np.nan, np.nan)
-    return np.array([chosen.get(name) or declared.get(name) or nothing for name in names], dtype=float).reshape(-1, 2)
+    found = [tuple(chosen.get(name, ())) or declared.get(name) or nothing for name in names]
+    return np.array(found, dtype=float).reshape(-1, 2)
 
 
 # ---------------------------------------------------------------------------------------------------------- plans

@@ -135,6 +135,8 @@ def simulate(
     """
     findings = Findings()
     options.check(findings)
+    if not options.ranged:
+        findings.raise_if_failed()
     if not model.channels:
         findings.error("GB756", f"the model `{model.name}` observes nothing", None, help="add `observe …` to it")
     box = boxes(model, options, findings, given=like is not None)

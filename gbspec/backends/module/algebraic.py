@@ -9,7 +9,7 @@ from sympy.core.function import AppliedUndef
 
 from gbspec.backends.module.equations import PARAMETERS, body_of, scope
 from gbspec.backends.module.writing import comma, left_side, method_text
-from gbspec.backends.printing import Assignment, Vectors, temporary
+from gbspec.backends.printing import Assignment, temporary
 from gbspec.ir import Algebraic, EquationBlock, Expr, Model, derivative, symbol
 
 
@@ -88,14 +88,10 @@ class _System:
             [Assignment(temporary(f"slope{i}"), value, f"slope{i}") for i, value in enumerate(self.slopes)],
         )
         outputs += slopes if with_slopes else []
-        definitions = None
-        if model.arrays:
-            vectors = Vectors(model)
-            definitions = [*vectors.definitions, *vectors.entries(outputs)]
         used = {free for output in outputs for free in output.value.free_symbols}
         wanted = [names[symbol(item)] if symbol(item) in used else "_" for item in self._names]
         lines = [f"{left_side(wanted)} = solved"]
-        lines += body_of(model, outputs, names, definitions=definitions, solved=False)
+        lines += body_of(model, outputs, names, solved=False)
         packed = f"math.pack(state, ({comma(names[output.symbol] for output in left)}))"
         document = f"What is left of {', '.join(self._block.equations)}, for {', '.join(self._block.variables)}"
         if with_slopes:

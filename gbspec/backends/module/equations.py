@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 import sympy
 
@@ -221,10 +221,8 @@ def _short_starts(model: Model, names: Names) -> list[str]:
         elif state.initial.value is not None:
             outputs.append(Assignment(state.symbol, state.initial.value, state.name))
             results.append(Column(state.symbol))
-        elif results and isinstance(results[-1], Part) and results[-1].args[2] == run:
-            results[-1] = Part(STATE, results[-1].args[1], run + 1)
         else:
-            results.append(Part(STATE, run, run + 1))
+            _append_given(results, run)
     definitions = [*vectors.definitions, *of_families, *vectors.entries(outputs, [*outputs, *of_families])]
     program = Program(model, outputs, definitions).statements
     lines = _unpacked(model, names, _used(program)) + _statements(program, names, model)
@@ -277,16 +275,49 @@ def body_of(
     outputs: Sequence[Assignment],
     names: Names,
     read: Iterable[sympy.Symbol] = (),
-    definitions: Sequence[Assignment] | None = None,
     solved: bool = True,
 ) -> list[str]:
     """Lines that unpack what is used, and compute the outputs; `read` is unpacked as well. `solved`: algebraic
-    variables are solved for where they are used."""
+    variables are solved for where they are used. With arrays, the states that outputs use are entries of the vector,
+    and none are in `read`."""
+    definitions = None
+    if model.arrays:
+        vectors = Vectors(model)
+        definitions = [*vectors.definitions, *vectors.entries(outputs)]
     program = Program(model, outputs, definitions)
     used = _used(program.statements) | set(read)
     if not solved:
         used -= {item.symbol for item in model.algebraics}
     return _unpacked(model, names, used) + _statements(program.statements, names, model)
+
+
+def kept(model: Model, replaced: Container[str]) -> set[sympy.Symbol]:
+    """What `body_of` has to read for `state_with`: the states that are not replaced, by their names."""
+    return set() if model.arrays else {state.symbol for state in model.states if state.name not in replaced}
+
+
+def state_with(model: Model, values: Mapping[str, sympy.Symbol], names: Names) -> str:
+    """The state with other values of some states, by their names; with arrays, what stays is parts of the vector."""
+    if not model.arrays:
+        return f"math.pack(state, ({comma(names[values.get(s.name, s.symbol)] for s in model.states)}))"
+    if not values:
+        return "state"
+    results: list[Expr] = []
+    for place, state in enumerate(model.states):
+        if state.name in values:
+            results.append(Column(values[state.name]))
+        else:
+            _append_given(results, place)
+    printer = PythonPrinter(lambda symbol: names[symbol])
+    return printer.print(results[0] if len(results) == 1 else Join(STATE, *results))
+
+
+def _append_given(results: list[Expr], place: int) -> None:
+    """Appends an entry of the given state; consecutive ones are one part."""
+    if results and isinstance(results[-1], Part) and results[-1].args[2] == place:
+        results[-1] = Part(STATE, results[-1].args[1], place + 1)
+    else:
+        results.append(Part(STATE, place, place + 1))
 
 
 def _statements(program: Iterable[Statement], names: Names, model: Model) -> list[str]:

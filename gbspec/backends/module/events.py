@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import sympy
 
-from gbspec.backends.module.equations import PARAMETERS, body_of, scope
+from gbspec.backends.module.equations import PARAMETERS, body_of, kept, scope, state_with
 from gbspec.backends.module.writing import comma, method_text
 from gbspec.backends.printing import Assignment, Names, temporary
 from gbspec.ir import Expr, Model
@@ -92,11 +92,10 @@ def _happen(model: Model) -> str:
         for i, event in enumerate(model.events)
         for name, value in event.values
     }
-    read = {s.symbol for s in model.states}
-    lines = body_of(model, list(outputs.values()), names, read)
-    for i in range(len(model.events)):
-        new = (names[outputs[i, s.name].symbol if (i, s.name) in outputs else s.symbol] for s in model.states)
-        lines.append(f"after{i} = math.pack(state, ({comma(new)}))")
+    lines = body_of(model, list(outputs.values()), names, kept(model, ()))
+    for i, event in enumerate(model.events):
+        new = {name: outputs[i, name].symbol for name, _ in event.values}
+        lines.append(f"after{i} = {state_with(model, new, names)}")
     lines.append(f"return ({comma(f'after{i}' for i in range(len(model.events)))})")
     parameters = ["cls", "math", names[model.time.symbol], "state", "condition", "inputs", "constants", "networks"]
     return method_text("@classmethod", "happen", parameters, "The state after each event.", lines)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sympy
 
-from gbspec.backends.module.equations import PARAMETERS, body_of
+from gbspec.backends.module.equations import PARAMETERS, body_of, kept, state_with
 from gbspec.backends.module.writing import comma, method_text
-from gbspec.backends.printing import Assignment, Names, temporary
+from gbspec.backends.printing import STATE, Assignment, Names, temporary
 from gbspec.ir import Model
 
 
@@ -69,15 +69,12 @@ def _resumed(model: Model) -> list[str]:
     names = Names(PARAMETERS)
     for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
         names.claim(item.symbol)
+    names.fix(STATE, "state")
     values = {
-        place: Assignment(temporary(f"after_{place}"), value, model.states[place].name)
+        model.states[place].name: Assignment(temporary(f"after_{place}"), value, model.states[place].name)
         for place, value in model.steady.after
     }
-    kept = {state.symbol for place, state in enumerate(model.states) if place not in values}
-    body = body_of(model, list(values.values()), names, kept)
-    parts = comma(
-        names[values[place].symbol if place in values else state.symbol] for place, state in enumerate(model.states)
-    )
-    body.append(f"return math.pack(state, ({parts}))")
+    body = body_of(model, list(values.values()), names, kept(model, values))
+    body.append(f"return {state_with(model, {name: item.symbol for name, item in values.items()}, names)}")
     document = "The states with which a trajectory begins after its steady state was found."
     return [method_text("@classmethod", "resumed", ["cls", "math", "state", "condition", "constants"], document, body)]

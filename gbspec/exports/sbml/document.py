@@ -180,14 +180,19 @@ class Document:
             trigger.setMath(self.math(text))
             values += again
         if event.rank is not None or event.priority or event.timing is not None:
-            # Timed events come first among those at one time.
-            number = repr(event.priority + (1e6 if event.timing is not None else 0.0))
-            text = number if event.rank is None else self.infix(event.rank)
+            text = repr(self._priority(event)) if event.rank is None else self.infix(event.rank)
             one.createPriority().setMath(self.math(text))
         for name, text in values:
             assignment = one.createEventAssignment()
             assignment.setVariable(name)
             assignment.setMath(self.math(text))
+
+    def _priority(self, event: Event) -> float:
+        """Of events at one time, timed ones come first, then those that begin a wait, whose priority is infinite; other
+        programs, and the import, have finite numbers."""
+        given = (abs(one.priority) for one in self.source.events if math.isfinite(one.priority))
+        first = max(5e5, 10 * max(given, default=0.0))
+        return (event.priority if math.isfinite(event.priority) else first) + (2 * first if event.timing else 0.0)
 
     def _timed(self, event: Event) -> tuple[str, list[tuple[str, str]]]:
         """The condition of a timed event, and what sets its next time."""

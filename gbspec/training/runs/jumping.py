@@ -24,6 +24,7 @@ def without_jumping(
     engine = context.engine(parameters, blend, step_fraction(stages))
     names = [context.model.learnables[parameters.shared[i]].name for i in at_jumps(engine, theta)]
     result.sd |= dict.fromkeys(names, math.nan)
+    result.at_most = dict.fromkeys(names, 0.0) | result.at_most
     return [
         f"`{name}` ended at {result.constants[name]:.6g}, where the sum of squares jumps: a value measured then is "
         "that before an event or a dose on one side, and that after it on the other. Every row that such a time may "

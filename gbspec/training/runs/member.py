@@ -17,7 +17,7 @@ from gbspec.data import Estimated, Trajectories, beginnings, fingerprint
 from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
-from gbspec.runs import COVARIANCE, StageRecord, Summary, files, sealed
+from gbspec.runs import COVARIANCE, Certainties, StageRecord, Summary, files, sealed
 from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
@@ -390,16 +390,19 @@ class _Runner:
             other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
         if position.finished:
-            self._take_uncertain(result, names)
+            self._take_uncertain(result, names, known)
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
-    def _take_uncertain(self, result: MemberResult, names: list[str]) -> None:
+    def _take_uncertain(self, result: MemberResult, names: list[str], known: Certainties) -> None:
         """Takes their standard deviations from constants for which the curvature is no measure, with what is to be said
-        of these. `names` are those of the stages that led to the result."""
+        of these, and writes what is `known` again without theirs. `names` are those of the stages that led to the
+        result."""
         if not self.context.model.marginal:
             for without in (without_tied, without_misjudged, without_disturbances, without_jumping):
                 result.tied += without(result, self.context, self.parameters, self.position.best, names)
+            if result.at_most and known.covariance is not None:
+                replace(known, covariance=known.covariance.at_most(result.at_most)).write(self.directory)
         result.tied += without_unmoved(result, self.context, names)
 
     def _unsteady(self, instance: GeneratedModule) -> list[str]:

@@ -46,6 +46,10 @@ class Held:
     estimate: float
     worse: tuple[float, ...]
 
+    def spread(self, half: float) -> float:
+        """The standard deviation with which an interval, of `half` of them to either side, ends at these values."""
+        return math.fsum(abs(value - self.estimate) for value in self.worse) / (len(self.worse) * half)
+
 
 def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: float) -> Held | None:
     """The constant, if what the deviance leaves it, up to the threshold, is clearly less than its bounds do."""
@@ -182,6 +186,7 @@ def _taken(result: MemberResult, model: Model, held: Sequence[Held]) -> list[str
     listed = ", ".join(f"`{name}`" for name in names[:-1]) + " and " * (len(names) > 1) + f"`{names[-1]}`"
     result.sd |= dict.fromkeys(names, math.nan)
     result.misjudged |= frozenset(names)
+    result.at_most |= {one.learnable.name: one.spread(half_width([result])) for one in held}
     own = [k.individual for k in model.learnables if k.per_trajectory and k.distribution is None]
     for j, learnable in enumerate(own if result.own_sd.shape[1] == len(own) else []):
         for i, (value, sd) in enumerate(zip(result.own[:, j], result.own_sd[:, j], strict=True)):

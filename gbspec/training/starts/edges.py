@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.ir import Model
+from gbspec.ir import may_jump
 from gbspec.training.engines import Engine, residual_vector
 from gbspec.training.problem import mean_loss
 
@@ -20,11 +20,6 @@ NEAR = 1e-6
 JUMP, MOVED = 1e-3, 1e-2
 """The sum of squares jumps where it changes by more than this part over that distance, and a residual by so many
 standard deviations of its channel: the sum of squares of exact data changes by any part of itself."""
-
-
-def may_jump(model: Model) -> bool:
-    """Whether the times of jumps may depend on constants: those of events, and of doses with a lag."""
-    return bool(model.events) or any(dose.lag.free_symbols for dose in model.doses)
 
 
 def at_jumps(engine: Engine, theta: Array) -> list[int]:

@@ -17,6 +17,7 @@ import torch
 from gbspec.arrays import Array, Mask
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import may_jump
 from gbspec.runs import SearchRecord
 from gbspec.training.engines import (
     Engine,
@@ -29,7 +30,7 @@ from gbspec.training.engines import (
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
-from gbspec.training.starts.edges import at_jumps, may_jump
+from gbspec.training.starts.edges import at_jumps
 from gbspec.training.starts.own_constants import refit_own
 from gbspec.training.starts.sizes import solved_starts
 
