@@ -16,7 +16,8 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.fitted import table_of
 from gbspec.ir import Model
 from gbspec.operations import models, tables
-from gbspec.report.text import population_lines
+from gbspec.report.html import tables as report_tables
+from gbspec.report.text import likelihood_lines, population_lines
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Groups
@@ -139,6 +140,13 @@ def test_a_fit_finds_both_spreads(tmp_path: Path) -> None:
     none = {name: replace(one, shrinkage=-1e-4) for name, one in found.effects.items()}
     said = "\n".join(population_lines(replace(run, fit=replace(run.fit, population=replace(found, effects=none)))))
     assert " 0 %" in said and "-0 %" not in said
+    logs = {name: replace(one, distribution="lognormal") for name, one in found.effects.items()}
+    for effects, what in ((found.effects, "(mean)"), (logs, "(median)")):
+        shown = replace(run, fit=replace(run.fit, population=replace(found, effects=effects)))
+        (cell,) = (row[1] for row in report_tables.few_constants(shown).rows if row[0] == "m")
+        assert cell.endswith(what)
+    assert report_tables.distributed(run).rows[1][:2] == ("m per strain", "normal")
+    assert [line for line in likelihood_lines(run) if line.startswith(f"-2 log likelihood {found.minus2ll:.4f}")]
     learned = models.learned(models.open_run(tmp_path / "run"))
     assert learned.individuals is not None
     assert learned.individuals.factor[0, 0] ** 2 == pytest.approx(of_subjects.sd**2 + of_strains.sd**2)

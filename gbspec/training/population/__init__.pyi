@@ -5,7 +5,7 @@ from .family import Rows as Rows
 from .groups import Groups as Groups
 from .jumps import TimesOfJumps as TimesOfJumps
 from .jumps import values_of as values_of
-from .known_groups import known_groups as known_groups
+from .known_groups import learned_groups as learned_groups
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
 from .noise import shape_parameter as shape_parameter

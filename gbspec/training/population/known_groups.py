@@ -9,7 +9,7 @@ from gbspec.arrays import Array
 from gbspec.training.population.objective import Objective, Point
 
 
-def known_groups(objective: Objective, point: Point) -> dict[str, object]:
+def learned_groups(objective: Objective, point: Point) -> dict[str, object]:
     """For each value of each column that groups trajectories, what is known of its deviations (those of a constant's
     spread: of logarithms, if it is lognormal), as JSON.
 

@@ -17,7 +17,7 @@ from gbspec.training.population import (
     Objective,
     PopulationResult,
     examined,
-    known_groups,
+    learned_groups,
     modes_of,
     result_at,
     simulated_tables,
@@ -294,7 +294,7 @@ def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
     if layout.levels:
         width = len(layout.distributed)
         shared = [(k, level.column, float(factor[k, width + j])) for j, (k, level) in enumerate(layout.levels)]
-        learned = known_groups(objective, found.point)
+        learned = learned_groups(objective, found.point)
         more = {"own": factor[:, :width].tolist(), "groups": shared, "learned": learned}
         values, vectors = np.linalg.eigh(factor @ factor.T)
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
