@@ -36,6 +36,7 @@ from .prediction.solutions import predict as predict
 from .prediction.start_comparison import InitialStates as InitialStates
 from .prediction.start_comparison import initial_states as initial_states
 from .prediction.trained import Trained as Trained
+from .prediction.window import default_window as default_window
 from .simulation.simulate import simulate as simulate
 from .simulation.simulate import true_starts as true_starts
 from .systems.bands import function_bands as function_bands

@@ -11,7 +11,7 @@ from gbspec.report.noises import learned_noises
 
 if TYPE_CHECKING:
     from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
-    from gbspec.runs import MemberRecord, ProfileRecord, Run
+    from gbspec.runs import MemberRecord, PopulationRecord, ProfileRecord, Run
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -222,20 +222,7 @@ def population_lines(run: Run) -> list[str]:
     found = run.fit.population
     if found is None:
         return []
-    rows = []
-    for name, one in found.effects.items():
-        between = f"{number(one.sd_interval[0])} to {number(one.sd_interval[1])}" if one.sd_interval else "-"
-        shrinkage = "-" if one.shrinkage is None else f"{round(100 * one.shrinkage)} %"
-        rows.append([name, one.distribution, number(one.median, 6), number(one.sd, 4), between, shrinkage])
-    way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
-    value = "not a finite number" if found.minus2ll is None else f"{found.minus2ll:.4f}"
-    ended = "" if found.maximum else f", not at its maximum: {found.reason}"
-    said = f"-2 log likelihood {value} ({way}{ended}), {found.parameters:.4g} parameters"
-    if found.aic is not None and found.bic is not None:
-        said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
-    if found.exact_hessian is not None:
-        said += f"; with the exact Hessian {found.exact_hessian:.4f}"
-    lines = [table(["distributed", "as", "median", "sd", "interval of sd", "shrinkage"], rows)] if rows else []
+    header, rows = distributions(found)
     pairs = [
         f"correlation of {a} and {b}: {value:.3f}"
         for i, (a, row) in enumerate(found.correlations.items())
@@ -248,7 +235,37 @@ def population_lines(run: Run) -> list[str]:
         f"p = {one.p:.2g} of being standard normal"
         for name, one in found.npde.items()
     ]
-    return [*lines, "\n".join([said, *pairs, *noises, *errors])]
+    lines = [table(header, rows)] if rows else []
+    return [*lines, "\n".join([marginal_line(found), *pairs, *noises, *errors])]
+
+
+def distributions(found: PopulationRecord) -> tuple[list[str], list[list[str]]]:
+    """The header and the rows of a table of distributed constants; no rows without any."""
+    rows = []
+    for name, one in found.effects.items():
+        between = f"{number(one.sd_interval[0])} to {number(one.sd_interval[1])}" if one.sd_interval else "-"
+        shrinkage = "-" if one.shrinkage is None else f"{round(100 * one.shrinkage)} %"
+        rows.append([name, one.distribution, number(one.median, 6), number(one.sd, 4), between, shrinkage])
+    return ["distributed", "as", "median", "sd", "interval of sd", "shrinkage"], rows
+
+
+def marginal_line(found: PopulationRecord) -> str:
+    """The marginal likelihood, how it was computed, and what is compared with others."""
+    way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
+    value = "not a finite number" if found.minus2ll is None else f"{found.minus2ll:.4f}"
+    ended = "" if found.maximum else f", not at its maximum: {found.reason}"
+    said = f"-2 log likelihood {value} ({way}{ended}), {found.parameters:.4g} parameters"
+    if found.aic is not None and found.bic is not None:
+        said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
+    if found.exact_hessian is not None:
+        said += f"; with the exact Hessian {found.exact_hessian:.4f}"
+    return said
+
+
+def likelihood_lines(run: Run) -> list[str]:
+    """The likelihood of a run that was fitted by one."""
+    found = run.fit.population
+    return innovations_line(run) if found is None else [marginal_line(found)]
 
 
 def innovations_line(run: Run) -> list[str]:

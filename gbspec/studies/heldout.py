@@ -18,6 +18,7 @@ from gbspec.studies.folds import Fold
 if TYPE_CHECKING:
     from gbspec.ir import Model
     from gbspec.runs import Run
+    from gbspec.training import FilteredRun, RowMoments
 
 DRAWS = 24
 """Parameter vectors that show the uncertainty of a disturbed model's fit."""
@@ -77,7 +78,7 @@ def held_out(run: Run, fold: Fold, window: int | None) -> list[Point]:
     For folds of trajectories, initial states and per-trajectory constants are estimated from the first rows (`window`)
     of each trajectory, which are then excluded from the errors. For folds over time, the trajectory is solved from the
     initial state that was learned from all its other rows, before and after the block; where states are disturbed,
-    predictions are what these other rows say of the block (smoothed), or of the rows after the window.
+    predictions are what these other rows say of the block (smoothed).
     """
     if run.model.diffusions:
         return _disturbed(run, fold, window)
@@ -113,18 +114,20 @@ def _stretches(run: Run, fold: Fold) -> list[Point]:
 
 
 def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
+    from gbspec.analysis import default_window
     from gbspec.training import filter_run
 
+    all_seen = filter_run(run, fold.whole, run.best)
     if fold.over == "trajectories":
-        used = filter_run(run, fold.whole, run.best, window)
-        held = [_later(item.values, window) for item in fold.whole.items]
+        windows = [default_window(item) if window is None else window for item in fold.whole.items]
+        held = [_later(item.values, rows) for item, rows in zip(fold.whole.items, windows, strict=True)]
+        paths = _of_new(run, fold, filter_run(run, fold.whole, run.best, windows), all_seen)
     else:
         held = list(fold.held)
         used = filter_run(run, fold.whole, run.best, hidden=held)
-    all_seen = filter_run(run, fold.whole, run.best)
+        paths = used.smoothed(DRAWS), all_seen.one_ahead(DRAWS)
     points = []
-    each = zip(fold.whole.items, used.smoothed(DRAWS), all_seen.one_ahead(DRAWS), held, strict=True)
-    for item, one, next_row, mask in each:
+    for item, one, next_row, mask in zip(fold.whole.items, *paths, held, strict=True):
         rows = item.times >= item.start
         found = (item.label, item.times[rows], fold.whole.channels, item.values[rows], one.channels, one.measurement_sd)
         ahead = next_row.channels, next_row.measurement_sd
@@ -132,10 +135,25 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
     return points
 
 
-def _later(values: Array, window: int | None) -> Mask:
+def _of_new(
+    run: Run, fold: Fold, used: FilteredRun, all_seen: FilteredRun
+) -> tuple[list[RowMoments], list[RowMoments]]:
+    """What the filter says of trajectories that are not in the fit, from their first rows and one row ahead. What is
+    open of the constants is what the fit has left so: the few rows of a window would leave it far more."""
+    from gbspec.training import filter_run
+
+    covariance = run.certainties(run.best).covariance
+    if covariance is not None:
+        known = covariance.without(run.values)
+        return used.smoothed_after(known), all_seen.one_ahead_after(known)
+    training = filter_run(run, fold.kept, run.best)
+    return used.smoothed(DRAWS, training), all_seen.one_ahead(DRAWS, training)
+
+
+def _later(values: Array, window: int) -> Mask:
     """The rows of a trajectory that follow the first `window` measured ones."""
     some = np.isfinite(values).any(axis=1).astype(np.int64)
-    return np.asarray(np.cumsum(some) - some >= (1 if window is None else window), dtype=np.bool_)
+    return np.asarray(np.cumsum(some) - some >= window, dtype=np.bool_)
 
 
 def _points(

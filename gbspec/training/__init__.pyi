@@ -15,6 +15,7 @@ from .recipe.context import split as split
 from .recipe.context import without_steps as without_steps
 from .recipe.disturbed import check_limits as check_limits
 from .runs.filtering import FilteredRun as FilteredRun
+from .runs.filtering import RowMoments as RowMoments
 from .runs.filtering import filter_run as filter_run
 from .runs.fit import train as train
 from .runs.fit import unbegun as unbegun

@@ -15,9 +15,11 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
+import gbspec
 from gbspec.cli.app import build, needed
 from gbspec.diagnostics import Findings
 from gbspec.operations import models, reporting
+from gbspec.report.html import mathml
 
 pytestmark = pytest.mark.usefixtures("quick_fits", "few_points")
 
@@ -130,6 +132,17 @@ def test_equations_are_mathml_that_parses(page: str) -> None:
     text = "".join("".join(tree.itertext()) for tree in trees)
     for name in ("N", "P", "eaten", "𝒩", "m"):
         assert name in text
+
+
+def test_disturbed_balances_are_increments(tmp_path: Path) -> None:
+    text = "model m\nstate x\nstate y[1..2]\nstate z\nlearn s = 0.2 > 0\nx' = 1 - x\ny[i]' = -y[i]\nz' = -z\n"
+    (tmp_path / "m.gb").write_text(text + "diffusion x = s\ndiffusion y[i] = s\nobserve x noise normal(0.1)\n")
+    model = gbspec.load(tmp_path / "m.gb").model
+    shown = [mathml.equations([pair]) for pair in (*mathml.balances(model), *mathml.disturbances(model))]
+    first, *_, family, second = ("".join(ElementTree.fromstring(one).itertext()) for one in shown)
+    assert first == "dx=(1-x)dt+sdWx"
+    assert len(shown) == 5 and "W" not in "".join(shown[1:3])
+    assert family == "dy1=(dy1dt)balancedt+sdWy1" and second.endswith("sdWy2")
 
 
 def test_the_plots_show_the_data_unmeasured_states_and_the_truth(page: str) -> None:

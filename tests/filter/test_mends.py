@@ -58,6 +58,17 @@ def test_vectors_without_a_solution_are_no_starts(
     assert np.array_equal(first, tried[min(finite, default=0)])
 
 
+def test_a_start_is_tried_once(tmp_path: Path) -> None:
+    """A warm start that moves nothing leaves the declared constants: eight iterations were those of another start."""
+    engine, vector = engine_of(tmp_path, BENT, table("X V y", rows=4))
+    theta = engine.layout.split(vector)[0]
+    alone, again = (
+        InnovationsFit("innovations", 10, lambda: engine, each, None).begin(theta) for each in ([], [theta])
+    )
+    assert np.array_equal(alone["waiting"], again["waiting"])
+    assert len(alone["waiting"]) == 1
+
+
 def test_a_start_whose_spread_diverges_is_told_with_its_remedy(tmp_path: Path) -> None:
     """The share p stays in [0, 1], but its start's distribution does not, and the balance grows without bound there."""
     text = (

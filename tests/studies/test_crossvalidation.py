@@ -15,9 +15,12 @@ import gbspec
 from gbspec.cli.app import build
 from gbspec.data.trajectories import Limits, Trajectories, Trajectory
 from gbspec.diagnostics import UserError
+from gbspec.fitted import table_of
 from gbspec.ir.residual import residuals
+from gbspec.runs import open_run
 from gbspec.studies.folds import folds, way
 from gbspec.studies.heldout import Point, errors
+from gbspec.training import filter_run
 
 from .conftest import DECAY
 
@@ -190,3 +193,47 @@ def test_disturbed_models_are_also_judged_one_row_ahead(tmp_path: Path) -> None:
     assert math.isnan(next(p for p in found.points if p.time == 0.0).ahead)
     assert found.ahead["x"].n == 39 and found.ahead["x"].rmse < found.total["x"].rmse
     assert "| all, one row ahead | x | 39 |" in (tmp_path / "out" / "table.md").read_text()
+
+
+def test_disturbed_trajectories_left_out_are_predicted_from_their_first_rows(tmp_path: Path) -> None:
+    """As `predict` does with that window, with what the other trajectories leave open of the constants."""
+    rng, rows, count = np.random.default_rng(7), [], 12
+    decay, spread = math.exp(-0.5), 0.6 * math.sqrt((1 - math.exp(-1.0)) / 2)
+    for k in range(3):
+        x = 2.0
+        for i in range(count):
+            rows.append((k, 0.5 * i, x + 0.1 * rng.normal()))
+            x = decay * x + spread * rng.normal()
+    model, path = tmp_path / "disturbed.gb", tmp_path / "t.csv"
+    model.write_text(DISTURBED.replace("x' = -x", "learn r = 1.2 in [0.1, 5]\nx' = -r*x"))
+    path.write_text("trajectory,t,x\n" + "".join(f"{k},{t},{y!r}\n" for k, t, y in rows))
+    for window in (None, 5):
+        out, first = tmp_path / f"out{window}", window or 4  # a third of the rows
+        found = gbspec.load(model).crossvalidate(path, out, window=window, threads=1)
+        assert found.total["x"].n == 3 * (count - first)
+        assert found.total["x"].rmse > 0.2, "a measured value is not predicted from itself"
+        for k in range(3):
+            run = gbspec.open_run(out / "folds" / str(k))
+            (item,) = (one for one in run.predict(path, window=first).items if one.label == str(k))
+            points = [point for point in found.points if point.trajectory == str(k)]
+            assert [point.time for point in points] == item.times[first:].tolist()
+            assert np.allclose([point.predicted for point in points], item.mean[first:, 0], atol=1e-6)
+            assert np.allclose([point.sd for point in points], item.sd[first:, 0], rtol=1e-5)
+            # A scalar Kalman filter up to the window, and then no more measurements.
+            s, r = run.constants["s"], run.constants["r"]
+            settled, last = s**2 / (2 * r), points[-1]
+            mean, variance = rows[k * count][2], 0.01
+            for i in range(1, count):
+                mean, variance = mean * math.exp(-0.5 * r), settled + (variance - settled) * math.exp(-r)
+                if i < first:
+                    gain = variance / (variance + 0.01)
+                    mean, variance = mean + gain * (rows[k * count + i][2] - mean), variance * (1 - gain)
+            own = math.sqrt(variance + 0.01)
+            assert abs(last.predicted - mean) < 0.02 and own * 0.99 < last.sd < 1.15 * own
+            assert all(0.0 < point.ahead_sd < 1.15 * own for point in points)
+    # Where the covariance is not kept, draws of what the fit leaves open stand for it.
+    opened = open_run(tmp_path / "out5" / "folds" / "2")
+    whole = table_of(path, opened.model)
+    used, training = filter_run(opened, whole.subset([2]), 0, first), filter_run(opened, whole.subset([0, 1]), 0)
+    (drawn,) = used.smoothed(24, training)
+    assert np.allclose(drawn.measurement_sd[first:, 0], [point.sd for point in points], rtol=0.05)

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 import torch
 
+from gbspec import open_run as run_of
+from gbspec.analysis.prediction import said_of_groups
 from gbspec.data import SimulateOptions, Trajectories, Trajectory
 from gbspec.diagnostics import Findings, UserError
+from gbspec.fitted import table_of
 from gbspec.ir import Model
 from gbspec.operations import models, tables
-from gbspec.report.text import population_lines
+from gbspec.report.html import tables as report_tables
+from gbspec.report.text import likelihood_lines, population_lines
+from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Groups
 from gbspec.training.runs.populations import left_out
@@ -135,9 +140,53 @@ def test_a_fit_finds_both_spreads(tmp_path: Path) -> None:
     none = {name: replace(one, shrinkage=-1e-4) for name, one in found.effects.items()}
     said = "\n".join(population_lines(replace(run, fit=replace(run.fit, population=replace(found, effects=none)))))
     assert " 0 %" in said and "-0 %" not in said
+    logs = {name: replace(one, distribution="lognormal") for name, one in found.effects.items()}
+    for effects, what in ((found.effects, "(mean)"), (logs, "(median)")):
+        shown = replace(run, fit=replace(run.fit, population=replace(found, effects=effects)))
+        (cell,) = (row[1] for row in report_tables.few_constants(shown).rows if row[0] == "m")
+        assert cell.endswith(what)
+    assert report_tables.distributed(run).rows[1][:2] == ("m per strain", "normal")
+    assert [line for line in likelihood_lines(run) if line.startswith(f"-2 log likelihood {found.minus2ll:.4f}")]
     learned = models.learned(models.open_run(tmp_path / "run"))
     assert learned.individuals is not None
     assert learned.individuals.factor[0, 0] ** 2 == pytest.approx(of_subjects.sd**2 + of_strains.sd**2)
+
+
+@pytest.mark.parametrize("text", [NESTED, ALONE], ids=["nested", "alone"])
+def test_new_trajectories_of_known_groups_have_what_was_learned_of_them(tmp_path: Path, text: str) -> None:
+    """Means and standard deviations of the linear mixed model: given the training data, and the first two rows."""
+    model, data, values = strains(tmp_path, text)
+    train(model, data, TrainOptions(backend="torch", max_step=1.0, effort="low"), tmp_path / "run")
+    run = open_run(tmp_path / "run")
+    effects = {name: one.sd for name, one in run.fit.population.effects.items()}  # type: ignore[union-attr]  # there
+    between, within = effects["m per strain" if text == NESTED else "m"], effects["m"] if text == NESTED else 0.0
+    noise, median = run.fit.noise["x"], run.fit.constants["m"].value
+    level = float(values[:SUBJECTS].mean())  # of strain 1
+    first = {"known": (1, (level - 0.1, level + 0.4)), "again": (1, ()), "new": (99, (5.2, 5.4)), "twin": (99, (5.3,))}
+    cells = [f"{name},{t},{strain},{seen[t] if t < len(seen) else ''}" for name, (strain, seen) in first.items()
+             for t in range(4)]  # fmt: skip
+    (tmp_path / "new.csv").write_text("\n".join(["trajectory,t,strain,x", *cells]) + "\n")
+    found = run_of(tmp_path / "run").predict(tmp_path / "new.csv", window=2)
+    strain = np.repeat(1 + np.arange(STRAINS), SUBJECTS * TIMES)
+    owner = np.repeat(np.arange(STRAINS * SUBJECTS), TIMES)
+    for item, (mine, seen) in zip(found.items, first.values(), strict=True):
+        groups = np.concatenate([strain, [mine] * (len(seen) + 1)])
+        owners = np.concatenate([owner, [-1] * (len(seen) + 1)])
+        joint = between**2 * (groups[:, None] == groups) + within**2 * (owners[:, None] == owners)
+        joint = joint + noise**2 * np.eye(len(joint))
+        weights = np.linalg.solve(joint[:-1, :-1], joint[:-1, -1])
+        mean = median + weights @ (np.concatenate([values.ravel(), seen]) - median)
+        trained = len(strain)
+        of_median = 1 / np.linalg.solve(joint[:trained, :trained], np.ones(trained)).sum()
+        variance = joint[-1, -1] - weights @ joint[:-1, -1] + (1 - weights.sum()) ** 2 * of_median
+        assert item.mean[-1, 0] == pytest.approx(mean, rel=1e-6)
+        assert 1 - 1e-6 < item.sd[-1, 0] / np.sqrt(variance) < 1.01  # spreads and noise are not known exactly either
+    assert any("(`new`, `twin`)" in said and "apart" in said for said in found.warnings)
+    member = run.member(0)
+    del member.info["population"]["learned"]  # type: ignore[attr-defined]  # as older versions have written it
+    new = table_of(tmp_path / "new.csv", model)
+    (said,) = said_of_groups(member, model, new.items, [one for one in found.items if one.label != "again"])
+    assert "older version" in said and "`strain` (`m`)" in said
 
 
 def test_without_groups_each_trajectory_is_a_unit(tmp_path: Path) -> None:

@@ -51,3 +51,14 @@ def test_quadrature_and_a_finer_step_go_by_the_likelihood_before_them() -> None:
     before = [record("search", 4, 240.0), record("marginal likelihood", 20, 30.0)]
     for name in ("finer step", "quadrature"):
         assert seconds_left(before, record(name, 2, 10.0), POPULATION, []) == pytest.approx(0.1 * 5.0 * 198)
+
+
+def test_the_likelihood_of_innovations_ends_by_itself() -> None:
+    """Of the largest number, 150, a share had been expected to be left: the time left grew while the fit went on."""
+    totals = {"warm start": 1, "innovations": 150}
+    before = [record("warm start", 1, 9.0)]
+    assert seconds_left(before, record("innovations", 10, 20.0), totals, []) == pytest.approx(60.0)
+    assert seconds_left(before, record("innovations", 30, 60.0), totals, []) == pytest.approx(20.0)
+    assert seconds_left(before, record("innovations", 41, 82.0), totals, []) is None
+    assert seconds_left(before, record("innovations", 10, 20.0), totals, [], functions=True) is None
+    assert seconds_left(before, record("innovations", 39, 78.0), {"innovations": 40}, []) == pytest.approx(2.0)

@@ -1,6 +1,7 @@
 from .estimate import predictions as predictions
 from .followed import missed as missed
 from .followed import said_of_starts as said_of_starts
+from .grouped import said_of_groups as said_of_groups
 from .noise import noise_at as noise_at
 from .solutions import ORIGINS as ORIGINS
 from .solutions import Prediction as Prediction

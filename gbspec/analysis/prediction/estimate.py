@@ -256,8 +256,15 @@ class Estimator:
                 out[channel.state] = float(item.values[rows[0], j]), j
         return out
 
+    def of_groups(self, item: Trajectory) -> Individuals | None:
+        """The distribution of a new trajectory's own constants, with what was learned of its groups."""
+        if self.individuals is None:
+            return None
+        names = (condition.name for condition in self.model.conditions)
+        return self.individuals.of_groups(dict(zip(names, item.condition.tolist(), strict=True)))
+
     def _estimate(self, item: Trajectory, state: Array, constants: Array, free: tuple[int, ...]) -> Start:
-        columns = list(free)
+        columns, individuals = list(free), self.of_groups(item)
         scale = np.concatenate([self.start_sd(item)[columns], self.own_sd])
         factor = self.scales.factor(item)
         measured = factor > 0
@@ -266,8 +273,8 @@ class Estimator:
         def moved(z: Array) -> Start:
             x0, k = state.copy(), constants.copy()
             x0[columns] += scale[: len(columns)] * z[: len(columns)]
-            if self.individuals is not None:  # z has the distribution that the fit has found
-                k = self.individuals.constants(k, z[len(columns) :])
+            if individuals is not None:  # z has the distribution that the fit has found
+                k = individuals.constants(k, z[len(columns) :])
             else:
                 k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
                 k = np.clip(k, self.low, self.high)

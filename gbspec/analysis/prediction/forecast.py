@@ -17,6 +17,7 @@ import polars as pl
 from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.far_outside import said_of_states
 from gbspec.analysis.prediction.followed import missed, said_of_starts
+from gbspec.analysis.prediction.grouped import said_of_groups
 from gbspec.analysis.prediction.members import MemberPredictions
 from gbspec.analysis.prediction.moving_jumps import said_of_moving_jumps
 from gbspec.analysis.prediction.nearby import hidden_states
@@ -255,6 +256,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
             *said_of_items(items, _narrow(run.model) if len(each) == 1 and each[0].covariance is None else ""),
             *_without_effect(items, window),
             *said_of_moving_jumps(run),
+            *said_of_groups(each[0].evaluator.instance, run.model, trajectories.items, items),
             *said_of_starts(_missed(run, scales, present, items), REMEDY),
             *(said_of_training(run.fit.members) if any("predicted" in item.used for item in items) else ()),
             *said_of_ends(run.model, items, hidden),

@@ -26,6 +26,7 @@ from gbspec.arrays import Array
 from gbspec.ir import may_jump, slopes
 
 if TYPE_CHECKING:
+    from gbspec.analysis.systems import Individuals
     from gbspec.backends import Evaluator
     from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.runs import Run
@@ -80,19 +81,28 @@ class MemberPredictions:
         refitted: Refit = unchanged
         if not found.failure:
             near = Nearby(self.evaluator, self.model, item, found, step_to_compare(self.run, self.number, item))
+            individuals = self._individuals(start, item)
             if start.origin in ("estimated", "average", "continued", "learned"):
-                variance, refitted = self._uncertainty(near, seen, estimator)
+                variance, refitted = self._uncertainty(near, seen, estimator, individuals)
             for state, deviation in measured_deviations(self.run, item, estimator.free(seen)).items():
                 change = deviation * near.slope(deviation, state=state)
                 variance = variance + refitted(change) ** 2
 
             def solve(evaluator: Evaluator, moved: Start) -> Array:
+                own, change = moved.constants, moved.constants - start.constants
+                if individuals is not None:
+                    own = individuals.moved(start.constants, change)
                 # Initial values that are expressions, or steady states, follow from the displaced constants.
-                begun = started(evaluator, item, moved.state, moved.constants, moved.origin)
-                return near.solve(begun, evaluator)
+                return near.solve(started(evaluator, item, moved.state, own, moved.origin), evaluator)
 
             variance = variance + self.displaced.variance(start, variables, solve, refitted)
         return View(found, variables, variance)
+
+    def _individuals(self, start: Start, item: Trajectory) -> Individuals | None:
+        """The distribution of what a trajectory has of its own, before its rows are seen. What was learned of the
+        groups of a trajectory of the training contains these."""
+        new = start.origin in ("estimated", "average")
+        return self.estimator.of_groups(item) if new else self.estimator.individuals
 
     def _start(self, index: int, seen: Trajectory, goes_on: bool) -> tuple[Start, Estimator]:
         """The start of a trajectory of which rows are `seen`, and the estimator that has what is free in it."""
@@ -109,7 +119,9 @@ class MemberPredictions:
         moved = not np.array_equal(believed[kept], start.state[kept])
         return start, self.freed if moved else self.estimator
 
-    def _uncertainty(self, near: Nearby, seen: Trajectory, estimator: Estimator) -> tuple[Array, Refit]:
+    def _uncertainty(
+        self, near: Nearby, seen: Trajectory, estimator: Estimator, individuals: Individuals | None
+    ) -> tuple[Array, Refit]:
         """The variance [R, V] from the covariance of the estimate, the diagonal of J (J'WJ + P)^-1 J', by differences;
         and how a change d of the solution that the shared parameters make is met by the estimate, which is refitted to
         the window: d - J (J'WJ + P)^-1 J'W d.
@@ -117,10 +129,15 @@ class MemberPredictions:
         W is the precision of the window's residuals (from the fit's noise, or their size if that is larger), P that of
         the prior.
         """
-        free, own, variables = [*estimator.free(seen)], list(estimator.own), near.variables
+        from scipy.linalg import block_diag
+
+        free, variables = [*estimator.free(seen)], near.variables
+        own = list(estimator.own if individuals is None else individuals.place)
         if not free and not own:
             return np.zeros_like(variables), unchanged
-        scale = np.concatenate([estimator.start_sd(seen)[free], estimator.own_sd])
+        root = np.diag(estimator.own_sd) if individuals is None else individuals.root(near.found.start.constants)
+        own_sd = np.sqrt(np.sum(root**2, axis=1))
+        scale = np.concatenate([estimator.start_sd(seen)[free], np.where(own_sd > 0, own_sd, estimator.own_sd)])
         rows, channels = len(seen.times), seen.values.shape[1]
         predicted, scales = variables[:rows, :channels], estimator.scales
         factor = scales.factor(seen)
@@ -129,13 +146,10 @@ class MemberPredictions:
         typical = float(np.sqrt(np.mean(misfit**2))) if measured.any() else 0.0
         in_residuals = slopes(predicted, seen.values, factor, scales.log)
         places: list[tuple[int | None, int | None]] = [*((i, None) for i in free), *((None, i) for i in own)]
-        moves = np.stack(
-            [
-                size * near.suited_slope(size, place, in_residuals, typical)
-                for size, place in zip(scale, places, strict=True)
-            ],
-            axis=-1,
-        )
+        slopes_by = [
+            near.suited_slope(size, place, in_residuals, typical) for size, place in zip(scale, places, strict=True)
+        ]
+        moves = np.stack(slopes_by, axis=-1) @ block_diag(np.diag(scale[: len(free)]), root)
         deviation = estimator.deviation(predicted)
         if estimator.varying is None:
             deviation = np.maximum(deviation, max(typical, 1e-9))

@@ -13,12 +13,17 @@ SHARE, LEAST = 3, 3
 """The default window: one third (1/`SHARE`) of the measured rows, but at least `LEAST`."""
 
 
+def default_window(item: Trajectory) -> int:
+    """The number of measured rows of the window where none is given; there may be fewer."""
+    return max(LEAST, int(np.isfinite(item.values).any(axis=1).sum()) // SHARE)
+
+
 def window_rows(item: Trajectory, fixed: bool, window: int | None) -> int:
     """The number of rows up to the end of the window; only the first if nothing is estimated (`fixed`)."""
     measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
     if not len(measured):
         return 0
-    wanted = window if window is not None else max(LEAST, len(measured) // SHARE)
+    wanted = window if window is not None else default_window(item)
     if fixed:
         wanted = 1
     return int(measured[min(wanted, len(measured)) - 1]) + 1

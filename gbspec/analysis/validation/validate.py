@@ -15,6 +15,7 @@ from gbspec.analysis.prediction import (
     mean_prediction,
     missed,
     predictions,
+    said_of_groups,
     said_of_starts,
 )
 from gbspec.analysis.systems import extrapolation_of
@@ -243,6 +244,7 @@ def validate(
         own = any(k.per_trajectory for k in run.model.learnables)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
+        warnings += said_of_groups(members[0], run.model, trajectories.items, predicted)
         solved = [one.states for one in predicted if not one.failure]
         warnings += said_of_ranges(states_beyond(run.model, np.concatenate(solved))) if solved else []
     place = 0 if member == "mean" else run.numbers.index(member)

@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from gbspec.ir import NN, Expr, Lookup, Model, Timing, Unknown, named
+from gbspec.ir import NN, Diffusion, Expr, Lookup, Model, Timing, Unknown, named
 
 _ENTITIES = {"&InvisibleTimes;": "&#x22C5;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
 """The printer's named entities as numbers, so that the page is well formed as XML too."""
@@ -106,16 +106,44 @@ def equations(pairs: list[tuple[str, str]], sign: str = "=") -> str:
 
 
 def balances(model: Model) -> list[tuple[str, str]]:
-    """Left and right side of each balance."""
-    time = name(model.time.name)
-    found = [
-        (
-            f"<mfrac><mrow><mi>d</mi>{expression(left)}</mrow><mrow><mi>d</mi>{time}</mrow></mfrac>",
-            expression(model.timed(right)),
-        )
-        for left, right in model.equations("balances")
-    ]
+    """Left and right side of each balance; of a state with a random disturbance, of its increment."""
+    time, disturbed = f"<mi>d</mi>{name(model.time.name)}", {d.state: d for d in model.diffusions}
+    found = []
+    for left, right in model.equations("balances"):
+        change, value = f"<mi>d</mi>{expression(left)}", model.timed(right)
+        if left.is_Symbol and left.name in disturbed:
+            drift = "" if value == 0 else f"{_factor(value)}{time}<mo>+</mo>"
+            found.append((f"<mrow>{change}</mrow>", f"<mrow>{drift}{_increment(model, disturbed[left.name])}</mrow>"))
+        else:
+            fraction = f"<mfrac><mrow>{change}</mrow><mrow>{time}</mrow></mfrac>"
+            found.append((fraction, expression(value)))
     return found + [(expression(left), expression(right)) for left, right in model.equations("closures")]
+
+
+def disturbances(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of the increment of each disturbed state of an array, whose balances stand together."""
+    time = f"<mi>d</mi>{name(model.time.name)}"
+    alone = {left.name for left, _ in model.equations("balances") if left.is_Symbol}
+    found = []
+    for one in model.diffusions:
+        state = name(one.state)
+        if one.state not in alone:
+            rate = f"<mfrac><mrow><mi>d</mi>{state}</mrow><mrow>{time}</mrow></mfrac>"
+            mean = f"<msub><mrow><mo>(</mo>{rate}<mo>)</mo></mrow><mtext>balance</mtext></msub>"
+            right = f"<mrow>{mean}{time}<mo>+</mo>{_increment(model, one)}</mrow>"
+            found.append((f"<mrow><mi>d</mi>{state}</mrow>", right))
+    return found
+
+
+def _increment(model: Model, one: Diffusion) -> str:
+    """The size of a disturbance times the increment of its Wiener process."""
+    return f"{_factor(model.timed(one.value))}<mi>d</mi><msub><mi>W</mi>{name(one.state)}</msub>"
+
+
+def _factor(value: Expr) -> str:
+    """An expression as a factor, a sum or pieces in parentheses."""
+    text = expression(value)
+    return f"<mo>(</mo>{text}<mo>)</mo>" if value.is_Add or value.is_Piecewise else text
 
 
 def algebraic(model: Model) -> list[tuple[str, str]]:

@@ -19,7 +19,7 @@ from gbspec.report.html import charts, mathml, tables
 from gbspec.report.kinds import KINDS, Kind
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import BEHIND, LEARNED, MUTED, TRUTH
-from gbspec.report.text import number
+from gbspec.report.text import likelihood_lines, number
 from gbspec.report.verdict import Verdict, verdict
 from gbspec.runs import Run
 from gbspec.version import __version__
@@ -219,7 +219,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
     with_data = fitted is not None and bool(len(fitted.data))
     overview = _overview(source, found, store, with_data=with_data)
     shown = {
-        "constants": tables.constants(run).rows,
+        "constants": tables.constants(run).rows or likelihood_lines(run),
         "metrics": tables.metrics(found.validation.to_json()),
         "bifurcation": found.diagrams,
         "model": tables.declared(model).rows,
@@ -233,6 +233,8 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "sections": _sections(source, store, {id for id, content in shown.items() if not content}),
         "total": len(fitted.data) if fitted else 0,
         "constants": tables.constants(run),
+        "distributed": tables.distributed(run),
+        "likelihood": likelihood_lines(run),
         "own_constants": tables.own_constants(run),
         "correlations": tables.correlations(run),
         "metrics": tables.metrics(found.validation.to_json()),
@@ -248,6 +250,7 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
     blocks = (
         ("Balances", mathml.balances(model), "="),
+        ("Random disturbances", mathml.disturbances(model), "="),
         ("Algebraic equations", mathml.algebraic(model), "="),
         ("Rates and intermediates", mathml.intermediates(model), "="),
         ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns], "="),

@@ -9,7 +9,7 @@ from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.report import collect
 from gbspec.report.noises import learned_noises
-from gbspec.report.text import ends_of, interval_of, number, share
+from gbspec.report.text import distributions, ends_of, interval_of, number, share
 from gbspec.runs import Run
 
 
@@ -69,14 +69,24 @@ def few_constants(run: Run) -> Table:
         own = run.fit.constants[one.name].per_trajectory
         if own:
             values = [each.value for each in own.values()]
-            unit += " (mean)"
-            between = f"trajectories: {number(min(values), 3)} to {number(max(values), 3)}"
+            effect = None if run.fit.population is None else run.fit.population.effects.get(one.name)
+            unit += " (mean)" if effect is None or effect.distribution == "normal" else " (median)"
+            known = f"{between}; " if one.interval is not None and effect is not None else ""
+            between = f"{known}trajectories: {number(min(values), 3)} to {number(max(values), 3)}"
         truth = [number(one.truth)] if true else []
         rows.append((one.name, number(one.value, 5) + unit, between, *truth))
     for noise in learned_noises(run):
         unit = f" {noise.unit}" if noise.unit else ""
         rows.append((noise.title, number(noise.value, 5) + unit, ends_of(noise.interval, 5), *(["-"] if true else [])))
     return Table(("constant", "value", "90 % interval", *(["truth"] if true else [])), tuple(rows))
+
+
+def distributed(run: Run) -> Table:
+    """The distributions of constants with their shrinkage; no rows if the model has none."""
+    if run.fit.population is None:
+        return Table((), ())
+    header, rows = distributions(run.fit.population)
+    return Table(tuple(header), tuple(map(tuple, rows)))
 
 
 def own_constants(run: Run) -> Table:

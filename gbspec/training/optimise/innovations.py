@@ -101,12 +101,13 @@ class InnovationsFit:
     # ---------------------------------------------------------------- the stage
     def begin(self, theta: Array) -> State:
         """The vectors to begin from, the best first: those given, with several sizes of noises and disturbances."""
-        first, engine = self.engine.noise.first(), self.engine
-        starts = [
-            np.concatenate([self._scaled(each, factor), first + shift])
-            for each in (theta, *self.others)
-            for factor, shift in SCALES
-        ]
+        first, engine, starts = self.engine.noise.first(), self.engine, list[Array]()
+        for each in (theta, *self.others):
+            for factor, shift in SCALES:
+                start = np.concatenate([self._scaled(each, factor), first + shift])
+                # A warm start that moved no constant leaves the declared ones, whose iterations would be the same.
+                if not any(np.allclose(start, one, rtol=1e-6, atol=1e-6) for one in starts):
+                    starts.append(start)
         values = np.array([engine.value(each) for each in starts])
         # Vectors without a solution are no starts; if none has one, the first iteration says where it ends.
         order = np.argsort(values, kind="stable")[: max(min(STARTS, int(np.isfinite(values).sum())), 1)]

@@ -9,6 +9,7 @@ from .held import SpentError as SpentError
 from .held import with_held as with_held
 from .jumps import TimesOfJumps as TimesOfJumps
 from .jumps import values_of as values_of
+from .known_groups import learned_groups as learned_groups
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
 from .noise import shape_parameter as shape_parameter

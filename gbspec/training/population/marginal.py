@@ -158,25 +158,32 @@ class Marginal:
         return _slopes(total, rows, w)
 
     def individual_slopes(self, u: Array, weights: Array, z: Array) -> Array:
-        """The derivatives [N, q, P] of the distributed constants of trajectories by u, the modes `z` following u by the
-        implicit function theorem."""
+        """The derivatives [N, q, P] of the distributed constants of trajectories by u, the modes `z` following u."""
         likelihood, rows = self.likelihood, self.rows(u).clone().requires_grad_()
         if not self.layout.distributed:
             return np.zeros((len(rows), 0, len(u)))
+        modes = torch.from_numpy(self.mode_slopes(u, weights, z))
+        numbers = likelihood.groups.numbers(torch.from_numpy(z))
+        table, by_z = self.layout.constants(self.layout.natural(rows), numbers)
+        own = torch.stack([_grad(table[:, i].sum(), rows) for i in self.layout.place], 1)
+        moved = torch.stack([likelihood.groups.numbers(column) for column in modes.unbind(2)], 2)
+        return np.asarray((own + torch.einsum("nqz,nzp->nqp", by_z.detach(), moved)).numpy(), dtype=np.float64)
+
+    def mode_slopes(self, u: Array, weights: Array, z: Array) -> Array:
+        """The derivatives [units, size, P] of the modes `z` by u, which they follow by the implicit function theorem.
+
+        The gradient of a unit depends on the rows of all its trajectories.
+        """
+        likelihood, rows = self.likelihood, self.rows(u).clone().requires_grad_()
         at = torch.from_numpy(z).clone().requires_grad_()
-        of, natural = self._compared(rows, at, torch.from_numpy(weights))
+        of, _ = self._compared(rows, at, torch.from_numpy(weights))
         gradient, groups = likelihood.half_gradient(of, at), likelihood.groups
         definite = _definite(self._second(gradient, at).detach(), likelihood.expected_hessian(of).detach())
-        table, by_z = self.layout.constants(natural, groups.numbers(at))
-        # The gradient of a unit depends on the rows of all its trajectories, a constant at given z on its own row.
-        unit, places = torch.from_numpy(groups.unit), self.layout.place
+        unit = torch.from_numpy(groups.unit)
         with by_constants(self.predictions.second):
             of_rows = [_grad(gradient[:, i].sum(), rows) for i in range(at.shape[1])]
-        own = torch.stack([_grad(table[:, i].sum(), rows) for i in places], 1)
         by_u = torch.stack([rows.new_zeros((groups.count, len(u))).index_add(0, unit, part) for part in of_rows], 1)
-        modes = -torch.linalg.solve(definite, by_u)
-        moved = torch.stack([groups.numbers(column) for column in modes.unbind(2)], 2)
-        return np.asarray((own + torch.einsum("nqz,nzp->nqp", by_z.detach(), moved)).numpy(), dtype=np.float64)
+        return np.asarray((-torch.linalg.solve(definite, by_u)).numpy(), dtype=np.float64)
 
     # ---------------------------------------------------------------- information
     def information(self, u: Array, weights: Array, z: Array) -> Array:

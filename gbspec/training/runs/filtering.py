@@ -80,18 +80,23 @@ class FilteredRun:
         """The tests of a channel's innovations."""
         return whiteness(self.standardised(channel)) if self.finite else None
 
-    def smoothed(self, draws: int = 0) -> list[RowMoments]:
+    def smoothed(self, draws: int = 0, training: FilteredRun | None = None) -> list[RowMoments]:
         """States and channels at the rows of each trajectory as all used measurements show them. The standard
-        deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
-        return self._moments(self._path, self._of_draws(self._path, draws))
+        deviations contain the uncertainty of the fitted parameters as `draws` of them show it: of those that the
+        measurements used here leave open, or of the shared ones that those of `training`, other trajectories, do."""
+        return self._moments(self._path, self._of_draws(self._path, draws, training))
 
     def smoothed_after(self, training: Covariance) -> list[RowMoments]:
         """The same with the uncertainty of the constants that the fit to other data has left."""
         return self._moments(self._path, self._of_constants(self._path, training))
 
-    def one_ahead(self, draws: int = 0) -> list[RowMoments]:
-        """The same as the measurements before each row show them; NaN in the first rows of trajectories."""
-        return self._moments(self._before, self._of_draws(self._before, draws))
+    def one_ahead(self, draws: int = 0, training: FilteredRun | None = None) -> list[RowMoments]:
+        """The same as `smoothed` as the measurements before each row show them; NaN in the first rows."""
+        return self._moments(self._before, self._of_draws(self._before, draws, training))
+
+    def one_ahead_after(self, training: Covariance) -> list[RowMoments]:
+        """The same with the uncertainty of the constants that the fit to other data has left."""
+        return self._moments(self._before, self._of_constants(self._before, training))
 
     def states_ahead(self) -> list[Array]:
         """The states [R, n] at the rows of each trajectory as the measurements before each row show them, in steps as
@@ -99,12 +104,18 @@ class FilteredRun:
         before = self.engine.row_states(self.found)[0]
         return [np.where(np.arange(len(mine))[:, None] > 0, before[mine], np.nan) for mine in self._rows]
 
-    def _of_draws(self, path: _Path, draws: int) -> _Variances | None:
+    def _of_draws(self, path: _Path, draws: int, training: FilteredRun | None) -> _Variances | None:
         """The variances of coordinates [R, n] and channels [R, C] over parameters that the data may have come from."""
-        if not draws or not self.finite:
+        source = self if training is None else training
+        if not draws or not self.finite or not source.finite:
             return None
         engine, seen = self.engine, self.found.seen
-        found = [(each, engine.filtered(each, seen)) for each in engine.draws(self.vector, self.found, draws)]
+        vectors = source.engine.draws(source.vector, source.found, draws)
+        if training is not None:
+            shared = slice(engine.parameters.n_shared)
+            changes, vectors = vectors - training.vector, np.tile(self.vector, (draws, 1))
+            vectors[:, shared] += changes[:, shared]
+        found = [(each, engine.filtered(each, seen)) for each in vectors]
         paths = [path(each, one)[0::2] for each, one in found if one.finite]
         if len(paths) < 2:
             return None
@@ -198,12 +209,13 @@ def filter_run(
     run: Run,
     trajectories: Trajectories,
     member: int,
-    window: int | None = None,
+    window: int | Sequence[int] | None = None,
     hidden: Sequence[Mask] | None = None,
     max_step: float | None = None,
 ) -> FilteredRun:
-    """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used, and
-    none that are `hidden` (for each trajectory a mask of its rows). `max_step`: its largest step, else the fit's."""
+    """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used (a
+    number for all or for each of them), and none that are `hidden` (for each trajectory a mask of its rows).
+    `max_step`: its largest step, else the fit's."""
     instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
     step = run.filter_step(member) if max_step is None else max_step
     tolerance = run.tolerance(member)
@@ -227,7 +239,8 @@ def filter_run(
     vector = np.concatenate([parameters.vector(instance.weights, constants), log_sd])
     seen = engine.problem.valued
     if window is not None:
-        early = filter.measured_before(engine, engine.problem.valued) < int(window)
+        most = np.broadcast_to(np.asarray(window, dtype=np.int64), (len(trajectories),))
+        early = filter.measured_before(engine, engine.problem.valued) < most[engine.problem.packed.row_trajectory]
         seen = seen & early.reshape(-1, 1)
     if hidden is not None:
         masks = [mask[item.times >= item.start] for item, mask in zip(trajectories.items, hidden, strict=True)]

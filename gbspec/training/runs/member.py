@@ -331,7 +331,8 @@ class _Runner:
     def _seconds_left(self, stage: Stage) -> float | None:
         position, totals = self.position, {planned.name.value: planned.total for planned in self.plan}
         later = [p.name.value for p in self.plan[position.stage + 1 :] if p.name not in MAYBE]
-        return seconds_left(position.stages[:-1], position.stages[-1], totals | {stage.name: stage.total}, later)
+        now, functions = position.stages[-1], bool(self.context.model.networks)
+        return seconds_left(position.stages[:-1], now, totals | {stage.name: stage.total}, later, functions)
 
     # ---------------------------------------------------------------- files
     def _result(self) -> MemberResult:

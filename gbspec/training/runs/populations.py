@@ -13,7 +13,15 @@ from gbspec.arrays import Array
 from gbspec.files import finite
 from gbspec.ir import NOISES, Distribution, Model
 from gbspec.runs import Covariance, EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
-from gbspec.training.population import Objective, PopulationResult, examined, modes_of, result_at, simulated_tables
+from gbspec.training.population import (
+    Objective,
+    PopulationResult,
+    examined,
+    learned_groups,
+    modes_of,
+    result_at,
+    simulated_tables,
+)
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.misjudged import misjudged_of_population
@@ -276,8 +284,9 @@ _OTHER: Mapping[str, str] = {"poisson": _WIDER, "negative_binomial": ""}
 
 def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
     """What the weights file says of the distribution: the names, and the factor B of the deviations' covariance, in
-    which those of groups are part: further trajectories belong to unseen groups. With groups also the factor of what is
-    not shared, and for each shared deviation the place of its constant, the column, and the standard deviation."""
+    which those of groups are part, as of trajectories of unseen groups. With groups also the factor of what is not
+    shared, for each shared deviation the place of its constant, the column, and the standard deviation, and what is
+    known of the groups of the data (`learned`)."""
     layout = objective.layout
     with torch.no_grad():
         factor = layout.factor(layout.natural(torch.from_numpy(found.point.u))).numpy()
@@ -285,7 +294,8 @@ def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
     if layout.levels:
         width = len(layout.distributed)
         shared = [(k, level.column, float(factor[k, width + j])) for j, (k, level) in enumerate(layout.levels)]
-        more = {"own": factor[:, :width].tolist(), "groups": shared}
+        learned = learned_groups(objective, found.point)
+        more = {"own": factor[:, :width].tolist(), "groups": shared, "learned": learned}
         values, vectors = np.linalg.eigh(factor @ factor.T)
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
     return {"names": [k.name for k in layout.distributed], "factor": factor.tolist(), **more}
