@@ -35,7 +35,7 @@ from gbspec.training.recipe import (
 )
 from gbspec.training.runs.beginning import beginning
 from gbspec.training.runs.coarseness import said_of_splines
-from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
+from gbspec.training.runs.deviations import deviations_of_kept, said_of_left, take_deviations
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
 from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum, without_whole
 from gbspec.training.runs.happening import said_of_events
@@ -392,16 +392,17 @@ class _Runner:
             if self.context.model.events:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)
-        result.history = list(position.history)
+        result.history, result.notes = list(position.history), list(position.notes)
         take_deviations(result, self.parameters, position.certainty, factor)
         left = left_for_intervals(position.marks)
         if position.finished and left is not None:
             engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
             other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
+            result.notes += said_of_left(engine, position.best, other) if other is not None else []
         if position.finished:
             self._take_uncertain(result, names)
-        result.finished, result.notes = position.finished, list(position.notes)
+        result.finished = position.finished
         return result
 
     def _take_uncertain(self, result: MemberResult, names: list[str]) -> None:
