@@ -24,6 +24,7 @@ class StageName(StrEnum):
     HALF_STEP = "half step"
     WHOLE = "whole solutions"
     HORIZONS = "growing horizons"
+    SHORTER = "shorter step"
     BLEND = "blend"
     WHOLE_STARTS = "initial states of whole solutions"
     OTHER_START = "other start"

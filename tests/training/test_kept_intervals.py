@@ -90,3 +90,17 @@ def test_a_fit_of_whole_solutions_that_went_astray_is_no_second_estimate(
     monkeypatch.setattr(ChoiceOfFit, "step", after_a_bad_end)
     run = fitted(tmp_path / "kept")
     assert run.fit.constants["k"].sd == pytest.approx(of_covariance(run), rel=1e-3)
+
+
+def test_the_loss_that_is_told_is_that_of_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps that become finer after the choice change it."""
+
+    def worse(self: ChoiceOfFit, state: State, iteration: int) -> Outcome:
+        kept = keep(self, state, iteration).state["theta"]
+        kept[: self.free.parameters.n_weights] *= 0.5
+        return Outcome({"theta": kept}, 1.0, True, "kept")
+
+    monkeypatch.setattr(ChoiceOfFit, "step", worse)
+    run = fitted(tmp_path / "kept")
+    (loss,) = [one.loss for one in run.fit.members]
+    assert [w for w in run.fit.warnings if f"the fit of intervals, which was kept, have the loss {loss:.3g};" in w]

@@ -42,7 +42,7 @@ def cut_steps(context: Context, last: Callable[[Reached], LastFit | None], effor
         found, fraction, cut = last(reached), step_fraction(reached.begun), context.cut()
         assert found is not None, "the stage has begun"
         layout, blend = found.layout, found.blend
-        chosen = continuing(found.options(reached.theta), reached)
+        chosen = continuing(found.options(reached), reached)
         newton = LevenbergMarquardt(StageName.CUT, most, lambda i: cut.engine(layout, blend, fraction, i), chosen)
         model = context.switched.model
         assert model is not None, "the stage has begun"

@@ -45,7 +45,7 @@ class LastFit:
     layout: Parameters
     blend: float
     seen: float
-    options: Callable[[Array], LevenbergOptions]
+    options: Callable[[Reached], LevenbergOptions]
     constants: bool
 
 
@@ -188,7 +188,7 @@ def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit 
         found, fraction = last(reached), step_fraction(reached.begun) / 2
         assert found is not None, "the stage has begun"
         layout, blend = found.layout, found.blend
-        chosen = continuing(found.options(reached.theta), reached)
+        chosen = continuing(found.options(reached), reached)
         newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
         rtol = context.tolerance(fraction)
         size = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.arrays import Array
 from gbspec.ir import Model
-from gbspec.training.engines import residual_vector
+from gbspec.training.engines import Engine, residual_vector
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.context import Context
-from gbspec.training.recipe.planned import Reached, step_fraction
+from gbspec.training.recipe.planned import Reached, shortened, step_fraction
 from gbspec.training.recipe.weighing import noise_table
 from gbspec.training.stages import StageName
 from gbspec.training.starts import refit_starts
@@ -42,15 +41,18 @@ class Judged:
     released: Parameters
     values: int
 
-    def noise(self, theta: Array) -> float:
+    def noise(self, reached: Reached) -> float:
         """The typical residual of intervals."""
-        return typical(residual_vector(self.context.engine(self.parameters), theta))
+        return typical(residual_vector(self._intervals(reached), reached.theta))
 
     def noisy(self, reached: Reached) -> bool:
         """Whether a channel's typical residual of intervals exceeds `NOISE`."""
-        engine = self.context.engine(self.parameters)
+        engine = self._intervals(reached)
         table, seen = noise_table(engine, reached.theta), engine.problem.seen
         return any(typical(table[seen[:, i], i]) > NOISE for i in range(table.shape[1]))
+
+    def _intervals(self, reached: Reached) -> Engine:
+        return self.context.engine(self.parameters, 1.0, shortened(reached.begun))
 
     def noisy_whole(self, reached: Reached) -> bool:
         """Whether whole solutions were fitted to data that are not exact."""

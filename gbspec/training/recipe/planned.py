@@ -66,9 +66,14 @@ def left_for_intervals(marks: Mapping[str, Array]) -> Array | None:
     return None if np.array_equal(marks[StageName.CHOICE], whole) else whole
 
 
+def shortened(begun: Sequence[str]) -> float:
+    """The fraction of the largest step that stages of whole solutions use after the begun ones, which may have shown
+    that a longer one is not stable."""
+    return float(0.5 ** list(begun).count(StageName.SHORTER))
+
+
 def step_fraction(begun: Sequence[str]) -> float:
     """The fraction of the largest step that the last of the begun stages uses."""
-    first = (
-        0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
-    )
-    return float(first * 0.5 ** list(begun).count(StageName.FINER))
+    later = {StageName.SHORTER, StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun)
+    first = 0.5 if StageName.HALF_STEP in begun and not later else 1.0
+    return float(first * shortened(begun) * 0.5 ** list(begun).count(StageName.FINER))

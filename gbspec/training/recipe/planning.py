@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,18 +15,29 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe import populations
 from gbspec.training.recipe.breeding import Breeding
+from gbspec.training.recipe.choosing import choice_of_fits
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
-from gbspec.training.recipe.growing import AS_SEGMENTS, ATTEMPTS, GrowingHorizons, short_loss
+from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown, search_of_known, search_with_starts
 from gbspec.training.recipe.other_start import OtherStart
-from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, left_for_intervals, step_fraction
-from gbspec.training.recipe.segments import Segments, horizons
-from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
+from gbspec.training.recipe.planned import (
+    At,
+    Decision,
+    Planned,
+    Reached,
+    always,
+    left_for_intervals,
+    shortened,
+    step_fraction,
+)
+from gbspec.training.recipe.segments import horizons
+from gbspec.training.recipe.shorter import shorter_steps
+from gbspec.training.recipe.stages import InitialStates, imputed_forcing
 from gbspec.training.recipe.thresholds import PATIENCE as THRESHOLD_PATIENCE
 from gbspec.training.recipe.thresholds import ThresholdSearch, learned_thresholds
 from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
@@ -136,7 +148,7 @@ class _Planner:
             if segments.alone(reached):
                 return None
             layout = self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
-            return LastFit(layout, blend, blend, lambda theta: plain, True)
+            return LastFit(layout, blend, blend, lambda reached: plain, True)
 
         released = self._at(0.0, 1.0, self.released)
         return [
@@ -156,11 +168,11 @@ class _Planner:
             ),
         ]
 
-    def _weights(self, options: LevenbergOptions | Callable[[Array], LevenbergOptions], fitted: Decision) -> Planned:
+    def _weights(self, options: LevenbergOptions | Callable[[Reached], LevenbergOptions], fitted: Decision) -> Planned:
         """Continues whole solutions that were `fitted` with channels weighed by their noise."""
 
         def settings(reached: Reached) -> LevenbergOptions:
-            chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
+            chosen = options if isinstance(options, LevenbergOptions) else options(reached)
             return continuing(chosen, reached)
 
         return reweighed(self.context, self._most(StageName.WEIGHTS), self._layout, settings, fitted)
@@ -191,6 +203,7 @@ class _Planner:
             return [
                 self._starts(StageName.STARTS, 1.0),
                 self._newton(StageName.TEACHER, first, self._prior),
+                *shorter_steps(self.context, self.parameters, self.blend, always, self.effort),
                 self._newton(StageName.AS_ASKED, last, self._regular),
                 *self._continued(),
             ]
@@ -199,19 +212,23 @@ class _Planner:
         return [
             self._adam(self._most(StageName.ADAM), self._hidden),
             self._thresholds(),
-            self._newton(StageName.IMPUTED, self._imputed, self._prior, self._needs_imputing),
+            self._newton(StageName.IMPUTED, lambda reached: self._imputed, self._prior, self._needs_imputing),
             self._starts(StageName.STARTS, 1.0),
             self._newton(StageName.TEACHER, self._at(1.0), self._prior, total=self._teacher_limit()),
             self._starts(StageName.STARTS_AGAIN, 1.0),
             self._growing(),
             self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
+            *shorter_steps(self.context, self.parameters, 0.3, self._blended, self.effort),
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
+            *shorter_steps(self.context, self.released, 0.0, self._whole_next, self.effort),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             fit,
             Planned(StageName.OTHER_START, 1, self._other_start, possible=self._few),
             replace(fit, wanted=always, possible=self._replaced),
             *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
-            Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
+            Planned(
+                StageName.CHOICE, 1, partial(choice_of_fits, self.context, self.released), possible=self._both_fits
+            ),
             whole_of_exact_data(self.context, self._layout_of_whole, self.effort, self._whole, self.judged.exact),
             *self._continued(),
         ]
@@ -228,9 +245,10 @@ class _Planner:
         def make(reached: Reached) -> Stage:
             found = self._last_of_networks(reached)
             assert found is not None, "the stage is possible"
-            chosen = replace(continuing(found.options(reached.theta), reached), enough=ENOUGH["high"])
-            engine = self._at(found.blend, step_fraction(reached.begun), found.layout)
-            return Further(LevenbergMarquardt(StageName.FURTHER, total, engine, chosen))
+            chosen = replace(continuing(found.options(reached), reached), enough=ENOUGH["high"])
+            layout, blend, fraction = found.layout, found.blend, step_fraction(reached.begun)
+            at = partial(self.context.engine, layout, blend, fraction)
+            return Further(LevenbergMarquardt(StageName.FURTHER, total, at, chosen))
 
         total = most_iterations(StageName.FURTHER, self.options.effort)
         further = Planned(StageName.FURTHER, total, make, possible=lambda r: self._last_of_networks(r) is not None)
@@ -239,9 +257,10 @@ class _Planner:
         return [cut, *finer(self.effort), *([further, *finer("high")] if high and self.effort != "high" else [])]
 
     # ---------------------------------------------------------------- problems
-    def _at(self, blend: float, fraction: float = 1.0, parameters: Parameters | None = None) -> At:
-        layout = parameters or self.parameters
-        return lambda iteration: self.context.engine(layout, blend, fraction, iteration)
+    def _at(self, blend: float, fraction: float = 1.0, parameters: Parameters | None = None) -> Callable[[Reached], At]:
+        """The engines of a stage, by what has been reached before it: at `fraction` of the step that is stable."""
+        layout, at = parameters or self.parameters, self.context.engine
+        return lambda reached: lambda i: at(layout, blend, fraction * shortened(reached.begun), i)
 
     def _imputed(self, iteration: int) -> Engine:
         problem = self.context.problem(1.0, 1.0, iteration)
@@ -299,10 +318,10 @@ class _Planner:
     def _blended(self, reached: Reached) -> bool:
         return StageName.HORIZONS not in reached.marks and self.judged.noisy(reached)
 
-    def _prior(self, theta: Array) -> LevenbergOptions:
+    def _prior(self, reached: Reached) -> LevenbergOptions:
         """Options of the first stage: regularised if there are few data, else plain."""
         enough = self._above_step_error if self._half_step_follows() else self.enough
-        return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02, enough=enough)
+        return self._regular(reached) if self.values < FEW else LevenbergOptions(tolerance=0.02, enough=enough)
 
     def _half_step_follows(self) -> bool:
         named = self.options.named_stages
@@ -312,22 +331,22 @@ class _Planner:
             and (not named or StageName.HALF_STEP in named)
         )
 
-    def _close(self, theta: Array) -> LevenbergOptions:
+    def _close(self, reached: Reached) -> LevenbergOptions:
         """The same options, with the damping for a vector that an earlier stage has improved."""
-        return replace(self._prior(theta), damping=STEADY, enough=self.enough)
+        return replace(self._prior(reached), damping=STEADY, enough=self.enough)
 
-    def _whole(self, theta: Array) -> LevenbergOptions:
+    def _whole(self, reached: Reached) -> LevenbergOptions:
         """The same for whole solutions of exact data."""
-        return replace(self._close(theta), enough=ROUNDING if demanding(self.context) else self.enough)
+        return replace(self._close(reached), enough=ROUNDING if demanding(self.context) else self.enough)
 
     def _above_step_error(self, theta: Array, residuals: Array) -> float:
         """The mean loss at which the whole step ends: a smaller loss would only fit the step's discretisation error."""
         half = residual_vector(self.context.engine(self.parameters, 1.0, 0.5), theta)
         return max(self.enough, mean_loss(half - residuals))
 
-    def _regular(self, theta: Array) -> LevenbergOptions:
+    def _regular(self, reached: Reached) -> LevenbergOptions:
         """Options with a ridge on the weights, derived from the noise or as requested."""
-        noise = max(self.judged.noise(theta), 0.01)
+        noise = max(self.judged.noise(reached), 0.01)
         noise = noise if np.isfinite(noise) else 1.0
         if self.options.ridge is None:
             spread = 0.0 if unmeasured(self.context.model) else SPREAD
@@ -367,27 +386,16 @@ class _Planner:
         return StageName.AUTOREGRESSIVE in reached.marks and self.values < FEW and self.effort != "low"
 
     def _other_start(self, reached: Reached) -> Stage:
-        engine, other = self.context.engine(self.released, 0.0), reached.marks[StageName.WARM_START]
-        return OtherStart(engine, other, self._regular(other), WITH_FEW_DATA[self.effort])
+        engine = self.context.engine(self.released, 0.0, shortened(reached.begun))
+        other = reached.marks[StageName.WARM_START]
+        options = self._regular(replace(reached, theta=other))
+        return OtherStart(engine, other, options, WITH_FEW_DATA[self.effort])
 
     def _replaced(self, reached: Reached) -> bool:
         """Whether the fit from the warm start has replaced that of whole solutions, and is to be brought to rest."""
         marks = reached.marks
         found = marks.get(StageName.OTHER_START)
         return found is not None and not np.array_equal(found, marks[StageName.AUTOREGRESSIVE])
-
-    def _choice(self, reached: Reached) -> Stage:
-        context, marks = self.context, reached.marks
-        free = context.engine(self.released, 0.0)
-        if StageName.HORIZONS in marks:
-            segments = Segments.of(context, self.released, horizons(context)[0])
-            earlier = marks[StageName.HORIZONS]
-            return ChoiceOfFit(
-                lambda theta: short_loss(context, segments, theta), free, earlier, context.seed, AS_SEGMENTS
-            )
-        teacher = context.engine(self.released, 1.0)
-        earlier = marks.get(StageName.STARTS_AGAIN, marks[StageName.TEACHER])
-        return ChoiceOfFit(lambda theta: mean_loss(residual_vector(teacher, theta)), free, earlier, context.seed)
 
     def _starts(
         self, name: StageName, blend: float, wanted: Decision = always, parameters: Parameters | None = None
@@ -403,7 +411,7 @@ class _Planner:
 
     def _adam(self, epochs: int, wanted: Decision = always) -> Planned:
         def make(reached: Reached) -> Stage:
-            return Adam(StageName.ADAM.value, epochs, self._at(self.blend), self.options, self.context.seed)
+            return Adam(StageName.ADAM.value, epochs, self._at(self.blend)(reached), self.options, self.context.seed)
 
         return Planned(StageName.ADAM, epochs, make, wanted)
 
@@ -414,29 +422,29 @@ class _Planner:
         def make(reached: Reached) -> Stage:
             pieces = self.context.kind == "pieces"  # noisy rows beyond a threshold would never see its event
             engine = self._imputed(0) if pieces else self.context.engine(self.parameters, 1.0)
-            return ThresholdSearch(engine, self.context.seed, self.effort, self._regular(reached.theta), self._random)
+            return ThresholdSearch(engine, self.context.seed, self.effort, self._regular(reached), self._random)
 
         most = THRESHOLD_PATIENCE[self.effort].improved if learned else 0
         return Planned(StageName.SEARCH, most, make)
 
     def _quasi_newton(self, epochs: int) -> Planned:
         def make(reached: Reached) -> Stage:
-            return LimitedMemory(StageName.LBFGS.value, epochs, self._at(self.blend))
+            return LimitedMemory(StageName.LBFGS.value, epochs, self._at(self.blend)(reached))
 
         return Planned(StageName.LBFGS, epochs, make)
 
     def _newton(
         self,
         name: StageName,
-        engine_at: At,
-        options: LevenbergOptions | Callable[[Array], LevenbergOptions],
+        engine_at: Callable[[Reached], At],
+        options: LevenbergOptions | Callable[[Reached], LevenbergOptions],
         wanted: Decision = always,
         total: int | None = None,
     ) -> Planned:
         most = self._most(name) if total is None else total
 
         def make(reached: Reached) -> Stage:
-            chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
-            return LevenbergMarquardt(name.value, most, engine_at, chosen)
+            chosen = options if isinstance(options, LevenbergOptions) else options(reached)
+            return LevenbergMarquardt(name.value, most, engine_at(reached), chosen)
 
         return Planned(name, most, make, wanted)

@@ -74,7 +74,7 @@ def check_starts(context: Context) -> None:
     raise UserError([Diagnostic("GB776", message, None, help=help_text)])
 
 
-def stages(context: Context, parameters: Parameters, regular: Callable[[Array], LevenbergOptions]) -> list[Planned]:
+def stages(context: Context, parameters: Parameters, regular: Callable[[Reached], LevenbergOptions]) -> list[Planned]:
     """The stages of a population, in order."""
     check_starts(context)
     effort = context.options.effort
@@ -93,7 +93,7 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Array], 
         total = most_iterations(name, effort)
 
         def least_squares(reached: Reached) -> Stage:
-            options = replace(regular(reached.theta), tolerance=1e-3, evidence=False)
+            options = replace(regular(reached), tolerance=1e-3, evidence=False)
             layout = pooled_parameters(parameters, reached.theta) if name is StageName.FUNCTIONS else pooled
             engine = context.engine(layout, 0.0)
             start = reached.marks[StageName.WARM_START] if name is StageName.POOLED_AGAIN else None

@@ -53,8 +53,6 @@ class InitialStates:
 CLEARLY = 3.0
 """A mean of squares is clearly larger than another one if it is so by this many standard deviations."""
 
-MUCH = 0.9
-"""A loss of whole solutions below this part of another one is told."""
 DISTURBED = 2.0
 """Systems count as disturbed where the loss of whole solutions is more than this many times that of intervals."""
 
@@ -104,8 +102,7 @@ class ChoiceOfFit:
         other_interval, other_whole = self._losses(self.earlier, refitted)
         disturbed = _disturbed(whole, other_whole, self.margin * other_interval)
         if disturbed or _product(other_interval, other_whole) < _product(interval, whole):
-            kept = f"{WHOLE_WORSE}; the fit of intervals was kept{_instead(whole, other_whole)}"
-            return Outcome({"theta": refitted}, other_interval, True, kept)
+            return Outcome({"theta": refitted}, other_interval, True, f"{WHOLE_WORSE}; the fit of intervals was kept")
         return Outcome(state, whole, True, WHOLE_WORSE)
 
     def _losses(self, of_intervals: Array, of_whole: Array) -> tuple[float, float]:
@@ -117,16 +114,6 @@ WHOLE_WORSE = (
     "solutions from the initial states follow the data less well than predictions from one row to the next: the system "
     "may be disturbed between rows, or the model may be incomplete"
 )
-
-
-def _instead(whole: float, kept: float) -> str:
-    """What the fit of whole solutions would have given, where its loss is clearly smaller."""
-    if not whole < MUCH * kept:
-        return ""
-    return (
-        f". Its whole solutions have the loss {kept:.3g}; the fit of whole solutions, which was left, had {whole:.3g}. "
-        "`--forcing autoregressive` fits them alone and may reach that, as predictions of many rows need"
-    )
 
 
 def _disturbed(whole: float, other_whole: float, interval: float) -> bool:

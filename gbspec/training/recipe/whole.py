@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from gbspec.arrays import Array
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Stage
 from gbspec.training.problem import Parameters, mean_loss
@@ -41,7 +40,7 @@ def whole_of_exact_data(
     context: Context,
     layout: Callable[[Reached], Parameters],
     effort: Effort,
-    options: Callable[[Array], LevenbergOptions],
+    options: Callable[[Reached], LevenbergOptions],
     exact: Decision,
 ) -> Planned:
     """The stage, at the step of the stage before; only where the data are `exact`."""
@@ -49,7 +48,7 @@ def whole_of_exact_data(
 
     def make(reached: Reached) -> Stage:
         fraction = step_fraction(reached.begun)
-        parameters, at = layout(reached), options(reached.theta)
+        parameters, at = layout(reached), options(reached)
         return LevenbergMarquardt(StageName.WHOLE, total, lambda i: context.engine(parameters, 0.0, fraction, i), at)
 
     def wanted(reached: Reached) -> bool:

@@ -19,6 +19,9 @@ from gbspec.training.optimise import Certainty
 from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.runs.summary import MemberResult
 
+MUCH = 0.9
+"""A loss of whole solutions below this part of another one is told."""
+
 
 def take_deviations(result: MemberResult, parameters: Parameters, certainty: Certainty, factor: float) -> None:
     """Standard deviations and correlations of the last stage, wider by a factor; a marginal likelihood has others."""
@@ -47,6 +50,19 @@ def deviations_of_kept(
     names = [parameters.model.learnables[i].name for i in parameters.shared]
     assert tuple(names) == covariance.constants, "it is that of this layout"
     return dict(zip(names, map(float, np.hypot(found, between)), strict=True))
+
+
+def said_of_left(engine: Engine, kept: Array, left: Array) -> list[str]:
+    """What the fit of whole solutions that was left would have given, where its loss is clearly smaller; `engine`
+    solves both at the step of the result."""
+    here, there = _loss(engine, kept), _loss(engine, left)
+    if not there < MUCH * here:
+        return []
+    return [
+        f"the whole solutions of the fit of intervals, which was kept, have the loss {here:.3g}; with the fit of whole "
+        f"solutions, which was left, it is {there:.3g}. `--forcing autoregressive` fits whole solutions alone and may "
+        "reach that, as predictions of many rows need"
+    ]
 
 
 def _loss(engine: Engine, theta: Array) -> float:

@@ -12,20 +12,35 @@ NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AG
 LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.JUMPS, StageName.FINER, StageName.QUADRATURE})
 """The stages that end at a maximum of the likelihood where a model has one (`Model.marginal`)."""
 
+WHOLE = frozenset({StageName.AUTOREGRESSIVE, StageName.AS_ASKED})
+"""The stages that fit whole solutions where intervals were fitted before."""
 
 NO_ESTIMATES = "the likelihood is not at its maximum, so that constants are no estimates and have no intervals"
+NO_WHOLE = (
+    "whole solutions were not fitted: what is kept is the fit of predictions from one row to the next, whose residuals "
+    "would make intervals of constants too narrow, so that there are none"
+)
 NO_FIT = f"{NO_ESTIMATES}, and AIC and BIC are left out"
 
 
-def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: bool) -> str:
+def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: bool, begun: bool = True) -> str:
     """A warning of a stage. In a `marginal` model `maximum` says whether a maximum of the likelihood was reached before
-    it; constants that are only where a likelihood could not go on are no estimates, and have no intervals."""
+    it; constants that are only where a likelihood could not go on are no estimates, and have no intervals. `begun`:
+    whether the stage took a step."""
     where = f" ({error.where})" if error.where else ""
     kept = "the maximum of the likelihood that was reached before" if marginal and maximum else "what was reached"
     said = f"the stage `{name}` ended early, and {kept} is kept: {error.what}{where}"
+    if name in WHOLE and not begun:
+        said += f". So {NO_WHOLE}"
     if maximum or not marginal:
-        return said
+        return f"{said}; what may help: {error.remedy}" if error.remedy else said
     return f"{said}. It is no fit: {NO_FIT}; what may help: {error.remedy or 'other starts, or narrower bounds'}"
+
+
+def without_whole(notes: Sequence[str]) -> bool:
+    """Whether a fit is that of intervals since whole solutions, which were to be fitted, blew up. `notes` are those of
+    its `Position`."""
+    return any(NO_WHOLE in note for note in notes)
 
 
 def said_of_unfinished(name: str, error: ComputationError, marginal: bool) -> str:

@@ -35,9 +35,9 @@ from gbspec.training.recipe import (
 )
 from gbspec.training.runs.beginning import as_left, beginning
 from gbspec.training.runs.coarseness import said_of_splines
-from gbspec.training.runs.deviations import deviations_of_kept, take_deviations
+from gbspec.training.runs.deviations import deviations_of_kept, said_of_left, take_deviations
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
-from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum
+from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum, without_whole
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_jumping
 from gbspec.training.runs.maximum import note_end, return_to_maximum
@@ -60,7 +60,7 @@ SAVE_EVERY = 5.0
 SAVING_SHARE = 0.05
 """The share of the time that saving may take where it is slow: the whole solution is computed each time."""
 
-MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.QUADRATURE})
+MAYBE = frozenset({StageName.SHORTER, StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.QUADRATURE})
 """Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
@@ -198,6 +198,8 @@ class _Runner:
                 return True
             if position.iteration == 0:
                 del position.stages[len(begun) :]
+                if without_whole(position.notes):
+                    position.certainty = Certainty(freedom=position.certainty.freedom)
                 self.context.cutting = self.context.cutting and planned.name is not StageName.CUT
                 self._weigh(weights)
                 return True
@@ -214,7 +216,8 @@ class _Runner:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
         position = self.position
         if set(position.marks) - NO_FITS:
-            return said_of_end(planned.name, error, self.context.model.marginal, position.maximum)
+            marginal, begun = self.context.model.marginal, position.iteration > 0
+            return said_of_end(planned.name, error, marginal, position.maximum, begun)
         if not any(later.name is StageName.HORIZONS for later in self.plan[position.stage + 1 :]):
             raise error
         if position.iteration:  # what blew up on the way is no better a start than the one before
@@ -258,10 +261,12 @@ class _Runner:
         return None
 
     def _take_certainty(self, stage: Stage, at_end: bool) -> None:
-        """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them, and a
-        likelihood that did not come to its end (`at_end`) has none."""
+        """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them. There
+        are none of a likelihood that did not come to its end (`at_end`), and none of a fit of intervals that was kept
+        in place of one of whole solutions."""
         position = self.position
-        if left_for_intervals(position.marks) is not None or (isinstance(stage, InnovationsFit) and not at_end):
+        of_intervals = left_for_intervals(position.marks) is not None or without_whole(position.notes)
+        if of_intervals or (isinstance(stage, InnovationsFit) and not at_end):
             position.certainty = Certainty(freedom=position.certainty.freedom)
         elif isinstance(stage, InnovationsFit):
             position.certainty, said = without_loosened(stage.certainty(position.state), self.parameters)
@@ -383,16 +388,17 @@ class _Runner:
             if self.context.model.events:
                 engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
                 result.left += said_of_events(engine, position.best, known.covariance)
-        result.history = list(position.history)
+        result.history, result.notes = list(position.history), list(position.notes)
         take_deviations(result, self.parameters, position.certainty, factor)
         left = left_for_intervals(position.marks)
         if position.finished and left is not None:
             engine = self.context.engine(self.parameters, 0.0, step_fraction(names))
             other = left if StageName.CHOICE in names else None  # with `--holdout` the best one may be from before
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
+            result.notes += said_of_left(engine, position.best, other) if other is not None else []
         if position.finished:
             self._take_uncertain(result, names, known)
-        result.finished, result.notes = position.finished, list(position.notes)
+        result.finished = position.finished
         return result
 
     def _take_uncertain(self, result: MemberResult, names: list[str], known: Certainties) -> None:

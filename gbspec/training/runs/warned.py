@@ -8,6 +8,7 @@ from gbspec.ir import Model
 from gbspec.runs import last_search
 from gbspec.training.options import TrainOptions
 from gbspec.training.runs import verdict
+from gbspec.training.runs.ended_early import without_whole
 from gbspec.training.runs.minima import found_once, said_of_minima
 from gbspec.training.runs.outlying import said_of_outlying
 from gbspec.training.runs.summary import MemberResult
@@ -49,7 +50,7 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     each = np.array(list(shared.values()), dtype=np.float64)
     deviations = each if shared else result.own_sd
     told = result.bounded | result.tied_to_bounds  # by themselves, with the reason why they have no interval
-    at_rest = result.misjudged or (shared and shared.keys() <= told)
+    at_rest = result.misjudged or (shared and shared.keys() <= told) or without_whole(result.notes)
     if not deviations.size or np.isfinite(deviations).any() or at_rest:
         # A standard deviation of zero is that of a constant at a bound, which has no interval either.
         every = np.concatenate([each, np.ravel(result.own_sd)])

@@ -20,7 +20,7 @@ from gbspec.training.engines.torch.unroll import unroll
 from gbspec.training.problem import Parameters, Problem
 
 _REMEDY = (
-    "try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), "
+    "a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), "
     "or a range and a start for each state (`state x in [0, 1] = 0.5`)"
 )
 
