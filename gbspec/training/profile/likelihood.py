@@ -40,12 +40,12 @@ from gbspec.training.optimise import (
     require_finite,
 )
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Bijection, Parameters, Problem, typical
-from gbspec.training.profile.agreement import Found, compared, narrowing
+from gbspec.training.problem import Bijection, Bijections, Parameters, Problem, typical
+from gbspec.training.profile.agreement import OTHER_BEST, Found, compared, narrowing
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.refits import AGAIN, WEAK, Follower, Refit, Refits
 from gbspec.training.profile.result import Profile, ProfilePoint
-from gbspec.training.profile.said import said_of_better, said_of_bounds
+from gbspec.training.profile.said import said_of_better, said_of_bounds, said_of_estimate
 from gbspec.training.profile.side import Known, Side, closely
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
@@ -91,20 +91,21 @@ def profile_constant(
     for direction in (-1.0, 1.0):
         found += _side(profiler, best, direction, points, progress)
     whole = _assembled(name, number, best, sorted(found, key=lambda one: one.value), profiler)
-    return _judged(run, whole, profiler.narrowed)
+    return _judged(run, whole, profiler)
 
 
-def _judged(run: Run, found: Profile, narrowed: float) -> Profile:
-    """The profile beside the fit's interval, recorded in the run."""
+def _judged(run: Run, found: Profile, profiler: _Profiler) -> Profile:
+    """The profile beside the fit's estimate and interval, recorded in the run."""
     known = run.fit.constants[found.name]
-    place = Found(found.estimate, found.low, found.high, found.settled, narrowed)
+    place = Found(found.estimate, found.low, found.high, found.settled, profiler.narrowed)
     verdict = compared(place, known.value, known.interval, len(run.numbers))
     ends = (found.low, found.high)
     write_profile(
         run.path,
         ProfileRecord(found.name, found.member, found.estimate, ends, verdict.trust, verdict.words or None),
     )
-    return replace(found, fitted=known.interval, comparison=verdict)
+    told = () if OTHER_BEST in verdict.words else profiler.said_of_estimate(found.estimate)
+    return replace(found, notes=(*told, *found.notes), fitted=known.interval, comparison=verdict)
 
 
 @dataclass(frozen=True)
@@ -257,6 +258,15 @@ class _Profiler:
         """The constant's value."""
         u = torch.from_numpy(theta[self.parameters.places])
         return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
+
+    def said_of_estimate(self, estimate: float) -> list[str]:
+        """A note where the estimate is not the value of the run's member; not at a bound, where no deviation holds."""
+        if self.name in self.ended:
+            return []
+        fitted, learnable = self._known()[self.name], self.model.learnables[self.parameters.shared[self.place]]
+        u = Bijections.of((learnable,)).from_natural(np.array([[fitted], [estimate]]))
+        apart = abs(float(u[1, 0] - u[0, 0])) / max(self.deviation * self.widening, 1e-300)
+        return said_of_estimate(self.name, fitted, estimate, apart, bool(self.parameters.n_weights))
 
     def others(self, one: _Fitted) -> dict[str, float]:
         """The other learned constants of a fit (for a constant per trajectory the mean)."""
