@@ -16,6 +16,9 @@ APART = 1 / 3
 NARROWED = 0.2
 """If a raised prior narrows the interval by more than this fraction, the profile is not to be trusted."""
 
+OTHER_BEST = "is not that of the fit"
+"""What is said of a best value that is another one than the fit's."""
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -68,7 +71,7 @@ def compared(found: Found, value: float, interval: tuple[float, float] | None, m
     half = (interval[1] - interval[0]) / 2
     if members == 1 and abs(found.best - value) > APART * half:
         words += (
-            f"; its best value, {found.best:.4g}, is not that of the fit, {value:.4g}, which minimised another "
+            f"; its best value, {found.best:.4g}, {OTHER_BEST}, {value:.4g}, which minimised another "
             "criterion (outliers and starts treated otherwise) or did not come to rest"
         )
     return Comparison("profile", words)

@@ -15,7 +15,7 @@ from typing import Protocol
 from gbspec.arrays import Array
 from gbspec.ir import Model
 from gbspec.runs import ProfileRecord, Run, write_profile
-from gbspec.training.profile.agreement import Found, compared
+from gbspec.training.profile.agreement import OTHER_BEST, Found, compared
 from gbspec.training.profile.possible import of_fit
 from gbspec.training.profile.result import Profile, ProfilePoint
 from gbspec.training.profile.said import said_of_better, said_of_bounds
@@ -73,6 +73,9 @@ class Profiler(Protocol):
     def others(self, one: Fitted) -> dict[str, float]:
         """The other learned constants of a fit."""
 
+    def said_of_estimate(self, estimate: float) -> list[str]:
+        """A note where the estimate is not the value of the run's member."""
+
     def remarks(self, fits: Sequence[Fitted]) -> list[str]:
         """What is to be said of the fits beside the profile itself."""
 
@@ -85,11 +88,11 @@ def profile_from(
     for direction in (-1.0, 1.0):
         found += _side(profiler, best, direction, points, progress)
     whole = _assembled(member, best, sorted(found, key=lambda one: one.value), profiler)
-    return _judged(run, whole, narrowed)
+    return _judged(run, whole, profiler, narrowed)
 
 
-def _judged(run: Run, found: Profile, narrowed: float) -> Profile:
-    """The profile beside the fit's interval, recorded in the run."""
+def _judged(run: Run, found: Profile, profiler: Profiler, narrowed: float) -> Profile:
+    """The profile beside the fit's estimate and interval, recorded in the run."""
     value, interval = of_fit(run, found.name)
     place = Found(found.estimate, found.low, found.high, found.settled, narrowed)
     verdict = compared(place, value, interval, len(run.numbers))
@@ -98,7 +101,8 @@ def _judged(run: Run, found: Profile, narrowed: float) -> Profile:
         run.path,
         ProfileRecord(found.name, found.member, found.estimate, ends, verdict.trust, verdict.words or None),
     )
-    return replace(found, fitted=interval, comparison=verdict)
+    told = () if OTHER_BEST in verdict.words else profiler.said_of_estimate(found.estimate)
+    return replace(found, notes=(*told, *found.notes), fitted=interval, comparison=verdict)
 
 
 def _side(profiler: Profiler, best: Fitted, direction: float, most: int, progress: Report | None) -> list[Fitted]:

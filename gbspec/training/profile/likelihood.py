@@ -39,13 +39,14 @@ from gbspec.training.optimise import (
     require_finite,
 )
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Bijection, Parameters, Problem, typical
+from gbspec.training.problem import Bijection, Bijections, Parameters, Problem, typical
 from gbspec.training.profile.agreement import narrowing
 from gbspec.training.profile.assembled import Basis, Fitted, Report, profile_from
 from gbspec.training.profile.marginal import profile_of_likelihood
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.refits import AGAIN, WEAK, Follower, Refit, Refits
 from gbspec.training.profile.result import Profile
+from gbspec.training.profile.said import said_of_estimate
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 from gbspec.training.runs import agreed, at_bounds, widening
@@ -226,6 +227,15 @@ class _Profiler:
         """The constant's value."""
         u = torch.from_numpy(theta[self.parameters.places])
         return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
+
+    def said_of_estimate(self, estimate: float) -> list[str]:
+        """A note where the estimate is not the value of the run's member; not at a bound, where no deviation holds."""
+        if self.name in self.ended:
+            return []
+        fitted, learnable = self._known()[self.name], self.model.learnables[self.parameters.shared[self.place]]
+        u = Bijections.of((learnable,)).from_natural(np.array([[fitted], [estimate]]))
+        apart = abs(float(u[1, 0] - u[0, 0])) / max(self.deviation * self.widening, 1e-300)
+        return said_of_estimate(self.name, fitted, estimate, apart, bool(self.parameters.n_weights))
 
     def others(self, one: Fitted) -> dict[str, float]:
         """The other learned constants of a fit (for a constant per trajectory the mean)."""

@@ -93,6 +93,10 @@ class _OfLikelihood:
         natural = self._natural(one.theta[self.weights :])
         return {name: float(natural[place]) for name, place in self._names.items() if name != self.name}
 
+    def said_of_estimate(self, estimate: float) -> list[str]:
+        """Nothing: the criterion is that of the fit, and a lower one is said where it is found."""
+        return []
+
     def remarks(self, fits: Sequence[Fitted]) -> list[str]:
         """A sentence on priors, which the deviance contains."""
         if not self.objective.priors:

@@ -14,6 +14,23 @@ LISTED = 8
 """The most starting values that are listed."""
 
 
+NOTICED = 0.1
+"""Estimates further apart than this many standard deviations are told apart."""
+
+
+def said_of_estimate(name: str, fitted: float, estimate: float, deviations: float, functions: bool) -> list[str]:
+    """A note where the `estimate` of a profile is so many standard `deviations` from the value `fitted` of the run, as
+    it minimises another criterion; `functions`: whether the model has unknown functions."""
+    if not deviations > NOTICED:
+        return []
+    near = ", and the weights of functions held near those of the run" if functions else ""
+    return [
+        f"its estimate, {name} = {estimate:.4g}, is not that of the fit, {fitted:.4g}: before {name} was fixed, it was "
+        f"refitted with all else by least squares of whole solutions, with outliers counted in full{near}. Deviances "
+        "count from there"
+    ]
+
+
 def said_of_better(name: str, begun: ProfilePoint, least: ProfilePoint) -> list[str]:
     """A note where the best fit of a profile is better than the one from which it `begun`, which is the run's."""
     lower = begun.deviance - least.deviance
@@ -23,9 +40,9 @@ def said_of_better(name: str, begun: ProfilePoint, least: ProfilePoint) -> list[
     listed = ", ".join(f"`{key} = {value:.5g}`" for key, value in [*values.items()][:LISTED])
     more = ", …" if len(values) > LISTED else ""
     return [
-        f"the run's fit ({name} = {begun.value:.4g}) is not the best one: with {name} = {least.value:.4g} the deviance "
-        f"is lower by {lower:.3g}, and the deviances above count from there. Train again from these starting values of "
-        f"`learn`: {listed}{more}"
+        f"the run's fit (refitted: {name} = {begun.value:.4g}) is not the best one: with {name} = {least.value:.4g} "
+        f"the deviance is lower by {lower:.3g}, and the deviances above count from there. Train again from these "
+        f"starting values of `learn`: {listed}{more}"
     ]
 
 

@@ -17,8 +17,8 @@ WHOLE = frozenset({StageName.AUTOREGRESSIVE, StageName.AS_ASKED})
 
 NO_ESTIMATES = "the likelihood is not at its maximum, so that constants are no estimates and have no intervals"
 NO_WHOLE = (
-    "whole solutions were not fitted: what is kept is the fit of predictions from one row to the next, whose residuals "
-    "would make intervals of constants too narrow, so that there are none"
+    "whole solutions were not fitted: what is kept was fitted to parts of the trajectories (from one row to the next, "
+    "or segments), whose residuals would make intervals of constants too narrow, so that there are none"
 )
 NO_FIT = f"{NO_ESTIMATES}, and AIC and BIC are left out"
 
@@ -38,8 +38,8 @@ def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: boo
 
 
 def without_whole(notes: Sequence[str]) -> bool:
-    """Whether a fit is that of intervals since whole solutions, which were to be fitted, blew up. `notes` are those of
-    its `Position`."""
+    """Whether a fit is that of intervals or segments since whole solutions, which were to be fitted, blew up. `notes`
+    are those of its `Position`."""
     return any(NO_WHOLE in note for note in notes)
 
 
