@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import pickle
 import subprocess
 import sys
@@ -163,3 +164,22 @@ def test_help_names_components_units_and_shapes() -> None:
         assert line in text
     many = load_module(gbspec.load("spreading_population").model).__doc__ or ""
     assert len(many) < 2000
+
+
+def test_labels_of_groups_are_no_conditions_of_a_simulation() -> None:
+    """No equation has them; whoever gives one gets the same."""
+    text = """model grouped
+condition dose in [50, 200]
+state A
+learn k = 0.3 in [0.1, 5] per trajectory ~ lognormal(0.2) per person ~ lognormal(0.3)
+A' = -k*A
+initial A = dose
+observe A noise normal(0.1)
+"""
+    module = load_module(model_of(text))()
+    found = [module.simulate([100.0], [0.0, 2.0], given) for given in ({"dose": 100.0}, {"dose": 100.0, "person": 7.0})]
+    assert module.conditions == ("dose", "person")
+    assert float(found[0][-1, 0]) == pytest.approx(100 * math.exp(-0.6), rel=2e-3)
+    assert bool((found[0] == found[1]).all())
+    with pytest.raises(ValueError, match="dose is missing"):
+        module.simulate([100.0], [0.0, 2.0], {"person": 7.0})

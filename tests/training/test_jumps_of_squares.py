@@ -77,6 +77,8 @@ def test_a_constant_that_ended_at_a_jump_has_no_interval(tmp_path: Path) -> None
     assert run.constants["t0"] == pytest.approx(3.5, abs=1e-6)
     assert "`t0` ended at 3.5, where the sum of squares jumps" in " ".join(fit["warnings"])
     assert fit["constants"]["t0"]["interval"] is None
+    found = run.predict(tmp_path / "d.csv")
+    assert (found.items[0].sd < 0.3).all(), "a change of the time moves the kick past a row: that is no derivative"
 
 
 def test_exact_data_jump_nowhere() -> None:

@@ -70,7 +70,8 @@ def attributes(model: Model, method: Method) -> str:
         "channel_states": places_of(model, [channel.state for channel in model.channels]),
         "defaults": {
             "constants": constants,
-            "conditions": tuple(condition.default for condition in model.conditions),
+            # Labels tell trajectories apart in the training: no equation has them.
+            "conditions": tuple(0.0 if c.labels and c.default is None else c.default for c in model.conditions),
             "inputs": tuple(item.default for item in model.inputs),
         },
         "ranges": table_of(model, {item.name: _ends(item.range) for item in ranged if item.range is not None}),
