@@ -86,7 +86,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
     covariance = run.certainties(run.best).covariance
     each = filtered.smoothed() if covariance is None else filtered.smoothed_after(covariance.without(run.values))
-    for item, longer, one in zip(data.items, known, each, strict=True):
+    for item, longer, one, constants in zip(data.items, known, each, filtered.constants, strict=True):
         rows = item.times >= item.start
         log = np.concatenate([one.log_channels, one.log[hidden]])
         mean = np.concatenate([one.channels, one.states[:, hidden]], axis=1)
@@ -95,7 +95,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         trained = 0 if longer is None else int(np.count_nonzero(rows[: longer[1]]))
         used = _uses(np.isfinite(item.values[rows]), window, trained)
         first = one.states[0] if len(one.states) else np.full(len(model.states), np.nan)
-        start = Start(first, run.member(run.best).weights["constants"], "smoothed" if window is None else "estimated")
+        start = Start(first, constants, "smoothed" if window is None else "estimated")
         lost = ~np.isfinite(mean).all(axis=1)
         items.append(
             PredictedTrajectory(
@@ -107,7 +107,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
                 used,
                 ranges.outside(model, replace(item, times=item.times[rows]), one.states, start),
                 start,
-                (),
+                filtered.estimated,
                 log,
                 f"the moments of the filter are not finite from {item.times[rows][lost][0]:g} on" if lost.any() else "",
             )

@@ -31,6 +31,7 @@ from .profiles import Trust as Trust
 from .profiles import write_profile as write_profile
 from .quantiles import NORMAL_90 as NORMAL_90
 from .quantiles import quantile as quantile
+from .quantiles import spread_of_next as spread_of_next
 from .record import CERTAIN as CERTAIN
 from .record import DAMAGED as DAMAGED
 from .record import DEPENDS as DEPENDS

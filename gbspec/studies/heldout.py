@@ -117,15 +117,15 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
     from gbspec.analysis import default_window
     from gbspec.training import filter_run
 
-    all_seen = filter_run(run, fold.whole, run.best)
     if fold.over == "trajectories":
         windows = [default_window(item) if window is None else window for item in fold.whole.items]
         held = [_later(item.values, rows) for item, rows in zip(fold.whole.items, windows, strict=True)]
-        paths = _of_new(run, fold, filter_run(run, fold.whole, run.best, windows), all_seen)
+        used = filter_run(run, fold.whole, run.best, windows)
+        paths = _of_new(run, fold, used, filter_run(run, fold.whole, run.best, own_of=used))
     else:
         held = list(fold.held)
         used = filter_run(run, fold.whole, run.best, hidden=held)
-        paths = used.smoothed(DRAWS), all_seen.one_ahead(DRAWS)
+        paths = used.smoothed(DRAWS), filter_run(run, fold.whole, run.best, own_of=used).one_ahead(DRAWS)
     points = []
     for item, one, next_row, mask in zip(fold.whole.items, *paths, held, strict=True):
         rows = item.times >= item.start
@@ -143,11 +143,8 @@ def _of_new(
     from gbspec.training import filter_run
 
     covariance = run.certainties(run.best).covariance
-    if covariance is not None:
-        known = covariance.without(run.values)
-        return used.smoothed_after(known), all_seen.one_ahead_after(known)
-    training = filter_run(run, fold.kept, run.best)
-    return used.smoothed(DRAWS, training), all_seen.one_ahead(DRAWS, training)
+    known = filter_run(run, fold.kept, run.best) if covariance is None else covariance.without(run.values)
+    return used.smoothed_after(known), all_seen.one_ahead_after(known)
 
 
 def _later(values: Array, window: int) -> Mask:

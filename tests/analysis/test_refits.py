@@ -12,7 +12,7 @@ import pytest
 
 from gbspec.analysis.prediction import estimate
 from gbspec.analysis.prediction.displaced import Displaced
-from gbspec.analysis.prediction.estimate import Estimator, predictions, spread_of_next
+from gbspec.analysis.prediction.estimate import Estimator, predictions
 from gbspec.analysis.prediction.forecast import forecast
 from gbspec.analysis.prediction.solutions import Start, predict
 from gbspec.analysis.prediction.start_comparison import initial_states
@@ -25,7 +25,7 @@ from gbspec.data.scales import scales_of
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
 from gbspec.report import collect
-from gbspec.runs import Covariance
+from gbspec.runs import Covariance, spread_of_next
 from gbspec.runs.store import Run, open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.problem.forcing import teacher_forcing

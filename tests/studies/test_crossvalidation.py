@@ -235,5 +235,5 @@ def test_disturbed_trajectories_left_out_are_predicted_from_their_first_rows(tmp
     opened = open_run(tmp_path / "out5" / "folds" / "2")
     whole = table_of(path, opened.model)
     used, training = filter_run(opened, whole.subset([2]), 0, first), filter_run(opened, whole.subset([0, 1]), 0)
-    (drawn,) = used.smoothed(24, training)
+    (drawn,) = used.smoothed_after(training)
     assert np.allclose(drawn.measurement_sd[first:, 0], [point.sd for point in points], rtol=0.05)

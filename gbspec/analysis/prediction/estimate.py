@@ -32,7 +32,7 @@ from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
 from gbspec.data import absent_states, recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
-from gbspec.runs import NORMAL_90, quantile
+from gbspec.runs import spread_of_next
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
@@ -110,17 +110,6 @@ def _widths(model: Model, scales: Scales) -> Array:
         if channel.state is not None and not scales.log[j] and np.isfinite(scales.deviation[j]):
             found[channel.state] = max(found[channel.state], float(scales.deviation[j]))
     return found
-
-
-def spread_of_next(values: Array) -> Array:
-    """The standard deviation [...] of the next of N values [N, ...] of a normal distribution of which nothing else is
-    known: that of the normal distribution whose 90 % interval is the one of Student's t with N - 1 degrees of freedom,
-    s t sqrt(1 + 1/N) (Hahn and Meeker 1991, section 4.7). 0 for a single value."""
-    count = len(values)
-    if count < 2:
-        return np.zeros(values.shape[1:])
-    wider = quantile(count - 1) / NORMAL_90 * float(np.sqrt(1 + 1 / count))
-    return np.asarray(values.std(axis=0, ddof=1) * wider, dtype=np.float64)
 
 
 def predictions(

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from gbspec.arrays import Array, Mask, as_measured
 from gbspec.backends import GeneratedModule
@@ -16,6 +17,7 @@ from gbspec.training.engines import Filtered, FilterEngine, Whiteness, filter, w
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Integers
 from gbspec.training.recipe import build_context
+from gbspec.training.runs.own_constants import Own, estimated_own
 
 if TYPE_CHECKING:
     from gbspec.runs import Covariance, Run
@@ -53,11 +55,25 @@ class RowMoments:
 
 @dataclass(frozen=True)
 class FilteredRun:
-    """A member's filter on a table, with the measurements that it used."""
+    """A member's filter on a table, with the measurements that it used. `own`: what of new trajectories was estimated
+    from these, in the vector."""
 
     engine: FilterEngine
     vector: Array
     found: Filtered
+    own: Own | None = None
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """The constants of single trajectories that were estimated here; none where the training has learned them."""
+        learnables = () if self.own is None else self.engine.parameters.model.learnables
+        return tuple(k.name for k in learnables if k.per_trajectory)
+
+    @property
+    def constants(self) -> Array:
+        """All constants of each trajectory [N, K]."""
+        theta = torch.from_numpy(self.engine.layout.split(self.vector)[0].copy())
+        return np.asarray(self.engine.parameters.constants(theta).numpy(), dtype=np.float64)
 
     @property
     def finite(self) -> bool:
@@ -80,23 +96,23 @@ class FilteredRun:
         """The tests of a channel's innovations."""
         return whiteness(self.standardised(channel)) if self.finite else None
 
-    def smoothed(self, draws: int = 0, training: FilteredRun | None = None) -> list[RowMoments]:
+    def smoothed(self, draws: int = 0) -> list[RowMoments]:
         """States and channels at the rows of each trajectory as all used measurements show them. The standard
-        deviations contain the uncertainty of the fitted parameters as `draws` of them show it: of those that the
-        measurements used here leave open, or of the shared ones that those of `training`, other trajectories, do."""
-        return self._moments(self._path, self._of_draws(self._path, draws, training))
+        deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
+        return self._moments(self._path, self._of_draws(self._path, draws))
 
-    def smoothed_after(self, training: Covariance) -> list[RowMoments]:
-        """The same with the uncertainty of the constants that the fit to other data has left."""
-        return self._moments(self._path, self._of_constants(self._path, training))
+    def smoothed_after(self, training: Covariance | FilteredRun) -> list[RowMoments]:
+        """The same with the uncertainty that the fit to other data has left of what all trajectories share: its
+        covariance, or the filter of these data."""
+        return self._moments(self._path, self._of_training(self._path, training))
 
-    def one_ahead(self, draws: int = 0, training: FilteredRun | None = None) -> list[RowMoments]:
+    def one_ahead(self, draws: int = 0) -> list[RowMoments]:
         """The same as `smoothed` as the measurements before each row show them; NaN in the first rows."""
-        return self._moments(self._before, self._of_draws(self._before, draws, training))
+        return self._moments(self._before, self._of_draws(self._before, draws))
 
-    def one_ahead_after(self, training: Covariance) -> list[RowMoments]:
-        """The same with the uncertainty of the constants that the fit to other data has left."""
-        return self._moments(self._before, self._of_constants(self._before, training))
+    def one_ahead_after(self, training: Covariance | FilteredRun) -> list[RowMoments]:
+        """The same with the uncertainty that the fit to other data has left."""
+        return self._moments(self._before, self._of_training(self._before, training))
 
     def states_ahead(self) -> list[Array]:
         """The states [R, n] at the rows of each trajectory as the measurements before each row show them, in steps as
@@ -104,44 +120,67 @@ class FilteredRun:
         before = self.engine.row_states(self.found)[0]
         return [np.where(np.arange(len(mine))[:, None] > 0, before[mine], np.nan) for mine in self._rows]
 
-    def _of_draws(self, path: _Path, draws: int, training: FilteredRun | None) -> _Variances | None:
+    def _of_draws(self, path: _Path, draws: int) -> _Variances | None:
         """The variances of coordinates [R, n] and channels [R, C] over parameters that the data may have come from."""
-        source = self if training is None else training
-        if not draws or not self.finite or not source.finite:
+        if not draws or not self.finite:
             return None
         engine, seen = self.engine, self.found.seen
-        vectors = source.engine.draws(source.vector, source.found, draws)
-        if training is not None:
-            shared = slice(engine.parameters.n_shared)
-            changes, vectors = vectors - training.vector, np.tile(self.vector, (draws, 1))
-            vectors[:, shared] += changes[:, shared]
-        found = [(each, engine.filtered(each, seen)) for each in vectors]
+        found = [(each, engine.filtered(each, seen)) for each in engine.draws(self.vector, self.found, draws)]
         paths = [path(each, one)[0::2] for each, one in found if one.finite]
         if len(paths) < 2:
             return None
         z, y = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
         return z, y
 
-    def _of_constants(self, path: _Path, training: Covariance) -> _Variances | None:
-        """The same by differences along the columns of a square root of a covariance of shared constants."""
-        parameters, squares = self.engine.parameters, []
+    def _of_training(self, path: _Path, training: Covariance | FilteredRun) -> _Variances | None:
+        """The same by differences along the columns of a square root of a covariance of shared constants, or along
+        draws of all shared parameters; with what is open of constants of new trajectories."""
+        if not self.finite:
+            return None
+        changes = self._drawn(training) if isinstance(training, FilteredRun) else self._displaced(training)
+        found = [
+            self._difference(path, change if self.own is None else self.own.followed(change)) for change in changes
+        ]
+        squares = [one for one in found if one is not None]
+        means = [np.mean(np.array(tables), axis=0) for tables in zip(*squares, strict=True)]
+        columns = [] if self.own is None else self.own.columns(len(self.vector))
+        each = [*([means] if means else []), *(self._difference(path, column) for column in columns)]
+        some = [one for one in each if one is not None]
+        if not some:
+            return None
+        z, y = (np.sum(np.array(tables), axis=0) for tables in zip(*some, strict=True))
+        return z, y
+
+    def _displaced(self, training: Covariance) -> list[Array]:
+        """Changes of the vector whose mean outer product is a covariance of shared constants."""
+        parameters, out = self.engine.parameters, []
         places = slice(parameters.n_weights, parameters.n_shared)
         slopes = parameters.bijections(parameters.shared).derivative(self.vector[places])
         names = [parameters.model.learnables[i].name for i in parameters.shared]
-        for _, constants in training.displacements(np.random.default_rng(67), PAIRS) if self.finite else []:
+        for _, constants in training.displacements(np.random.default_rng(67), PAIRS):
             by = dict(zip(training.constants, constants, strict=True))
             change = np.zeros(len(self.vector))
-            shifts = SHORTENED * np.array([by.get(name, 0.0) for name in names])
+            shifts = np.array([by.get(name, 0.0) for name in names])
             change[places] = np.divide(shifts, slopes, out=np.zeros_like(shifts), where=slopes > 0)  # 0: at a bound
-            ends = [self.vector + change, self.vector - change]
-            found = [self.engine.filtered(end, self.found.seen) for end in ends]
-            if all(one.finite for one in found):
-                up, down = (path(end, one)[0::2] for end, one in zip(ends, found, strict=True))
-                squares.append([((a - b) / (2 * SHORTENED)) ** 2 for a, b in zip(up, down, strict=True)])
-        if not squares:
+            out.append(change)
+        return out
+
+    def _drawn(self, training: FilteredRun) -> list[Array]:
+        """Changes of the vector that draws of what all trajectories share make, of the data of the fit."""
+        if not training.finite:
+            return []
+        shared = self.engine.parameters.n_shared
+        vectors = training.engine.draws(training.vector, training.found, PAIRS)
+        return [np.append(one[:shared], np.zeros(len(self.vector) - shared)) for one in vectors - training.vector]
+
+    def _difference(self, path: _Path, change: Array) -> list[Array] | None:
+        """The squares of what a change of the vector does to coordinates and channels; None where it cannot be seen."""
+        ends = [self.vector + SHORTENED * change, self.vector - SHORTENED * change]
+        found = [self.engine.filtered(end, self.found.seen) for end in ends]
+        if not all(one.finite for one in found):
             return None
-        z, y = (np.mean(np.array(tables), axis=0) for tables in zip(*squares, strict=True))
-        return z, y
+        up, down = (path(end, one)[0::2] for end, one in zip(ends, found, strict=True))
+        return [((a - b) / (2 * SHORTENED)) ** 2 for a, b in zip(up, down, strict=True)]
 
     def _moments(self, path: _Path, between: _Variances | None) -> list[RowMoments]:
         engine, log, log_y = self.engine, self.engine.coordinates.log, self.engine.noise.log
@@ -212,10 +251,12 @@ def filter_run(
     window: int | Sequence[int] | None = None,
     hidden: Sequence[Mask] | None = None,
     max_step: float | None = None,
+    own_of: FilteredRun | None = None,
 ) -> FilteredRun:
     """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used (a
     number for all or for each of them), and none that are `hidden` (for each trajectory a mask of its rows).
-    `max_step`: its largest step, else the fit's."""
+    `max_step`: its largest step, else the fit's. What new trajectories have of their own is estimated from the used
+    rows, or is that `own_of` another filter of the same table."""
     instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
     step = run.filter_step(member) if max_step is None else max_step
     tolerance = run.tolerance(member)
@@ -249,7 +290,11 @@ def filter_run(
         for i, mask in enumerate(masks):
             rows = np.flatnonzero(packed.row_trajectory == i)
             seen[rows[np.argsort(packed.row_index[rows])][mask]] = False
-    return FilteredRun(engine, vector, engine.filtered(vector, seen=seen))
+    if own_of is not None:
+        return FilteredRun(engine, own_of.vector, engine.filtered(own_of.vector, seen=seen), own_of.own)
+    new = [i for i, place in enumerate(_places(instance, trajectories, window is None)) if place is None]
+    vector, own = estimated_own(engine, vector, seen, new, instance.weights)
+    return FilteredRun(engine, vector, engine.filtered(vector, seen=seen), own)
 
 
 def _without(trajectories: Trajectories, hidden: Sequence[Mask]) -> Trajectories:
