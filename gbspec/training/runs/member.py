@@ -18,7 +18,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
 from gbspec.runs import COVARIANCE, StageRecord, Summary, files, sealed
-from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, Outcome, Stage
+from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, OtherMaxima, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
@@ -60,7 +60,7 @@ SAVE_EVERY = 5.0
 SAVING_SHARE = 0.05
 """The share of the time that saving may take where it is slow: the whole solution is computed each time."""
 
-MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.QUADRATURE})
+MAYBE = frozenset({StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.OTHER_MAXIMA, StageName.QUADRATURE})
 """Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
@@ -109,6 +109,11 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, result: MemberResult) -> None:
         self.result = result
         super().__init__("interrupted")
+
+
+def _fit(stage: Stage) -> Stage:
+    """The fit that a stage continues, or the stage itself."""
+    return stage.fit if isinstance(stage, OtherMaxima) else stage
 
 
 class _Runner:
@@ -209,7 +214,7 @@ class _Runner:
     def _reached(self, theta: Array, begun: list[str]) -> Reached:
         position = self.position
         taken = {stage.name: stage.iterations for stage in position.stages}
-        return Reached(theta, position.marks, begun, position.ridge, position.damping, taken)
+        return Reached(theta, position.marks, begun, position.ridge, position.damping, taken, position.maximum)
 
     def _after_failure(self, planned: Planned, error: ComputationError) -> str:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
@@ -261,11 +266,11 @@ class _Runner:
     def _take_certainty(self, stage: Stage, at_end: bool) -> None:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them, and a
         likelihood that did not come to its end (`at_end`) has none."""
-        position = self.position
-        if left_for_intervals(position.marks) is not None or (isinstance(stage, InnovationsFit) and not at_end):
+        position, fit = self.position, _fit(stage)
+        if left_for_intervals(position.marks) is not None or (isinstance(fit, InnovationsFit) and not at_end):
             position.certainty = Certainty(freedom=position.certainty.freedom)
-        elif isinstance(stage, InnovationsFit):
-            position.certainty, said = without_loosened(stage.certainty(position.state), self.parameters)
+        elif isinstance(fit, InnovationsFit):
+            position.certainty, said = without_loosened(fit.certainty(position.state), self.parameters)
             position.notes += said
         elif isinstance(stage, LevenbergMarquardt):
             # For a stage that may end while the loss still falls by a few percent the curvature is not meaningful.
@@ -280,8 +285,9 @@ class _Runner:
         position.ridge = float(outcome.state.get("ridge", np.array(position.ridge)))
         position.damping = float(outcome.state.get("damping", np.array(position.damping)))
         position.iteration += 1
-        if isinstance(stage, InnovationsFit):
-            self.context.estimated = position.estimated = stage.estimated(position.state)
+        fit = _fit(stage)
+        if isinstance(fit, InnovationsFit):
+            self.context.estimated = position.estimated = fit.estimated(position.state)
         if outcome.note:
             position.notes.append(outcome.note)
         position.seconds = time.monotonic() - self._began
