@@ -156,6 +156,8 @@ class OtherMaxima:
         except ComputationError:
             return rest
         rest |= {"used": np.array(used + 1.0), "all": np.array(whole + float(rise >= HIGH))}
+        if outcome.unfinished is not None:
+            return rest  # no step leads higher although it is no maximum
         if outcome.done:
             return self._with(rest, outcome.state, rise)
         most = self.total if rise < -ALIKE else self.taken if rise < HIGH else used + self.share - whole

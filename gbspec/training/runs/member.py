@@ -50,7 +50,7 @@ from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import without_loosened, without_tied
+from gbspec.training.runs.tied import HELPS, without_loosened, without_tied
 from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
@@ -269,9 +269,10 @@ class _Runner:
         position, fit = self.position, _fit(stage)
         if left_for_intervals(position.marks) is not None or (isinstance(fit, InnovationsFit) and not at_end):
             position.certainty = Certainty(freedom=position.certainty.freedom)
-        elif isinstance(fit, InnovationsFit):
+        elif isinstance(fit, InnovationsFit) and (fit is stage or not np.array_equal(position.theta, position.entry)):
             position.certainty, said = without_loosened(fit.certainty(position.state), self.parameters)
-            position.notes += said
+            # What was said at another maximum is no longer true.
+            position.notes = [note for note in position.notes if not note.endswith(HELPS)] + said
         elif isinstance(stage, LevenbergMarquardt):
             # For a stage that may end while the loss still falls by a few percent the curvature is not meaningful.
             known = stage.options.tolerance <= TIGHT
