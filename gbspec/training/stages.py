@@ -44,6 +44,7 @@ class StageName(StrEnum):
     POOLED_AGAIN = "pooled fit again"
     MARGINAL = "marginal likelihood"
     JUMPS = "times of jumps"
+    OTHER_MAXIMA = "other maxima"
     QUADRATURE = "quadrature"
     LBFGS = "lbfgs"
     INNOVATIONS = "innovations"

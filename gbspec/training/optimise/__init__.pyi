@@ -1,3 +1,4 @@
+from . import equal as equal
 from .adam import Adam as Adam
 from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
@@ -6,6 +7,8 @@ from .curvature import covariance as covariance
 from .curvature import lack_of_fit as lack_of_fit
 from .curvature import log_evidence as log_evidence
 from .curvature import loosened as loosened
+from .exchanges import exchanged as exchanged
+from .exchanges import exponents as exponents
 from .held import tied_at_bounds as tied_at_bounds
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
@@ -23,6 +26,8 @@ from .normal_equations import huber as huber
 from .normal_equations import huber_each as huber_each
 from .normal_equations import huber_weights as huber_weights
 from .normal_equations import use_threads as use_threads
+from .other_innovations import OtherInnovations as OtherInnovations
+from .other_maxima import OtherMaxima as OtherMaxima
 from .preconditioned_lbfgs import Anchor as Anchor
 from .preconditioned_lbfgs import Penalised as Penalised
 from .preconditioned_lbfgs import Rest as Rest

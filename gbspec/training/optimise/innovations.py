@@ -118,6 +118,11 @@ class InnovationsFit:
             "left": np.array(float(ROUND if len(order) > 1 else self.total)),
         }
 
+    def going_on(self, vector: Array) -> State:
+        """The state at a vector of the likelihood as the only one to begin from."""
+        alone = {"waiting": np.zeros((0, len(vector))), "best": np.zeros(0), "best_value": np.array(np.inf)}
+        return self._begun(vector) | alone | {"left": np.array(float(self.total))}
+
     def _begun(self, vector: Array) -> State:
         """The state at a vector of the likelihood."""
         theta, log_sd = self.engine.layout.split(vector)

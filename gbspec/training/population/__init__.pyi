@@ -1,5 +1,6 @@
 from . import results as results
 from .discrepancies import examined as examined
+from .exchanged import Exchanged as Exchanged
 from .families import Families as Families
 from .family import Rows as Rows
 from .groups import Groups as Groups

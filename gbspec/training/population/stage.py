@@ -172,6 +172,10 @@ class MarginalLikelihood:
         state: State = {"theta": theta, "z": z, "damping": np.array(DAMPED), "ridge": np.array(ridge)}
         return state | {"falls": np.full(TIMES, np.inf), "quadrature": np.array(0.0)}
 
+    def going_on(self, theta: Array) -> State:
+        """The state at a vector from which this stage or one like it has come to rest: of quadrature, if asked for."""
+        return self._begun(theta) | {"quadrature": np.array(1.0)}
+
     def step(self, state: State, iteration: int) -> Outcome:
         """One damped step. Raises ComputationError where the model cannot be solved at the present vector, or the
         likelihood there or a derivative of it is not a finite number."""

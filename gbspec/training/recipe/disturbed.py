@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from gbspec.data import Trajectories, unstated
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import METHODS, Model, RosenbrockW, noise_form
 from gbspec.training.engines import Filtered, FilterEngine
-from gbspec.training.optimise import InnovationsFit, Stage
+from gbspec.training.optimise import InnovationsFit, OtherInnovations, OtherMaxima, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states, without_steps
@@ -92,6 +93,23 @@ def disturbed_stage(context: Context, parameters: Parameters, total: int) -> Pla
         return InnovationsFit(StageName.INNOVATIONS, total, lambda: filter_of(context, parameters), [declared], ridge)
 
     return Planned(StageName.INNOVATIONS, total, make)
+
+
+def other_maxima(context: Context, parameters: Parameters, total: int) -> Planned:
+    """The search for other maxima of a known form, where constants exchange their roles."""
+
+    def made(reached: Reached) -> OtherMaxima:
+        fit = InnovationsFit(
+            StageName.INNOVATIONS, total, lambda: filter_of(context, parameters), [], context.options.ridge
+        )
+        vector = partial(whole_vector, context, fit.engine)
+        of = OtherInnovations(fit, vector, lambda: FilterEngine.of(context.problem(0.0, 0.5), parameters))
+        return OtherMaxima(StageName.OTHER_MAXIMA, total, of, reached.iterations.get(StageName.INNOVATIONS, 0))
+
+    def possible(reached: Reached) -> bool:
+        return not parameters.n_weights and reached.maximum and made(reached).possible(reached.theta)
+
+    return Planned(StageName.OTHER_MAXIMA, total, made, possible=possible)
 
 
 def filter_of(context: Context, parameters: Parameters) -> FilterEngine:

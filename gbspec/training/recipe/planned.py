@@ -17,8 +17,8 @@ from gbspec.training.stages import StageName
 @dataclass(frozen=True)
 class Reached:
     """The progress of a fit: the vector, the vectors at the ends of the previous stages, by their names, the names of
-    all stages that have begun, the ridge and the damping of the last one that had any (0: none), and how many
-    iterations each stage took."""
+    all stages that have begun, the ridge and the damping of the last one that had any (0: none), how many
+    iterations each stage took, and whether a likelihood is at its maximum."""
 
     theta: Array
     marks: Mapping[str, Array] = field(default_factory=dict)
@@ -26,6 +26,7 @@ class Reached:
     ridge: float = 0.0
     damping: float = 0.0
     iterations: Mapping[str, int] = field(default_factory=dict)
+    maximum: bool = False
 
 
 Decision = Callable[[Reached], bool]

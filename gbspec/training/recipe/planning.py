@@ -18,7 +18,7 @@ from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.choosing import choice_of_fits
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.cutting import cut_steps
-from gbspec.training.recipe.disturbed import disturbed_stage
+from gbspec.training.recipe.disturbed import disturbed_stage, other_maxima
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons
@@ -98,7 +98,8 @@ class _Planner:
         if self.context.model.marginal:
             return populations.stages(self.context, self.parameters, self._regular)
         if self.context.model.diffusions:
-            return [disturbed_stage(self.context, self.parameters, self._most(StageName.INNOVATIONS))]
+            given = self.context, self.parameters, self._most(StageName.INNOVATIONS)
+            return [disturbed_stage(*given), other_maxima(*given)]
         if self.options.method == "gradient-matching":
             return [self._starts(StageName.STARTS, 1.0)]
         if self.options.method == "auto":

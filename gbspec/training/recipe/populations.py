@@ -10,8 +10,9 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.engines import explain_failure
-from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Stage
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, OtherMaxima, Stage
 from gbspec.training.population import (
+    Exchanged,
     Groups,
     Layout,
     Marginal,
@@ -108,7 +109,7 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Reached]
     )
     finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
     around, near = likelihoods.jumps(near=False), likelihoods.jumps(near=True)
-    return [*first, likelihoods.marginal(), around, *finer, near, likelihoods.quadrature()]
+    return [*first, likelihoods.marginal(), around, likelihoods.other_maxima(), *finer, near, likelihoods.quadrature()]
 
 
 def jumping(parameters: Parameters) -> list[int]:
@@ -154,6 +155,22 @@ class _Likelihoods:
             return TimesOfJumps(StageName.JUMPS.value, inner, places, near)
 
         return Planned(StageName.JUMPS, values_of(near) * max(len(places), 1), make, possible=sought)
+
+    def other_maxima(self) -> Planned:
+        """The search for other maxima where constants exchange their roles. With learned noises alone the search of
+        least squares has looked over the whole ranges."""
+
+        def made(reached: Reached) -> OtherMaxima:
+            fit = self._maximised(StageName.MARGINAL, *reached.begun)
+            of = Exchanged(fit, lambda: self._objective(*reached.begun, StageName.FINER))
+            taken = reached.iterations.get(StageName.MARGINAL, 0)
+            return OtherMaxima(StageName.OTHER_MAXIMA, self._most, of, taken)
+
+        def possible(reached: Reached) -> bool:
+            known = self._context.model.distributed and not self._parameters.n_weights
+            return bool(known) and reached.maximum and made(reached).possible(reached.theta)
+
+        return Planned(StageName.OTHER_MAXIMA, self._most, made, possible=possible)
 
     def finer(self, number: int) -> Planned:
         """The same at half the step (adaptive: a tenth of the tolerance), where that changes the likelihood."""

@@ -9,8 +9,17 @@ from gbspec.training.stages import StageName
 
 NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AGAIN, StageName.WHOLE_STARTS})
 """Stages that prepare a fit; alone they are no result."""
-LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.JUMPS, StageName.FINER, StageName.QUADRATURE})
-"""The stages that end at a maximum of the likelihood where a model has one (`Model.marginal`)."""
+LIKELIHOODS = frozenset(
+    {
+        StageName.MARGINAL,
+        StageName.JUMPS,
+        StageName.OTHER_MAXIMA,
+        StageName.FINER,
+        StageName.QUADRATURE,
+        StageName.INNOVATIONS,
+    }
+)
+"""The stages that end at a maximum of the likelihood where a model has one (`Model.marginal`, or disturbances)."""
 
 WHOLE = frozenset({StageName.AUTOREGRESSIVE, StageName.AS_ASKED})
 """The stages that fit whole solutions where intervals were fitted before."""

@@ -18,7 +18,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
 from gbspec.runs import COVARIANCE, Certainties, StageRecord, Summary, files, sealed
-from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, Outcome, Stage
+from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, OtherMaxima, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
@@ -50,7 +50,7 @@ from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import without_loosened, without_tied
+from gbspec.training.runs.tied import HELPS, without_loosened, without_tied
 from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
@@ -60,7 +60,9 @@ SAVE_EVERY = 5.0
 SAVING_SHARE = 0.05
 """The share of the time that saving may take where it is slow: the whole solution is computed each time."""
 
-MAYBE = frozenset({StageName.SHORTER, StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.QUADRATURE})
+MAYBE = frozenset(
+    {StageName.SHORTER, StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.OTHER_MAXIMA, StageName.QUADRATURE}
+)
 """Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
@@ -109,6 +111,11 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, result: MemberResult) -> None:
         self.result = result
         super().__init__("interrupted")
+
+
+def _fit(stage: Stage) -> Stage:
+    """The fit that a stage continues, or the stage itself."""
+    return stage.fit if isinstance(stage, OtherMaxima) else stage
 
 
 class _Runner:
@@ -210,7 +217,7 @@ class _Runner:
     def _reached(self, theta: Array, begun: list[str]) -> Reached:
         position = self.position
         taken = {stage.name: stage.iterations for stage in position.stages}
-        return Reached(theta, position.marks, begun, position.ridge, position.damping, taken)
+        return Reached(theta, position.marks, begun, position.ridge, position.damping, taken, position.maximum)
 
     def _after_failure(self, planned: Planned, error: ComputationError) -> str:
         """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
@@ -264,13 +271,14 @@ class _Runner:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them. There
         are none of a likelihood that did not come to its end (`at_end`), and none of a fit of intervals that was kept
         in place of one of whole solutions."""
-        position = self.position
+        position, fit = self.position, _fit(stage)
         of_intervals = left_for_intervals(position.marks) is not None or without_whole(position.notes)
-        if of_intervals or (isinstance(stage, InnovationsFit) and not at_end):
+        if of_intervals or (isinstance(fit, InnovationsFit) and not at_end):
             position.certainty = Certainty(freedom=position.certainty.freedom)
-        elif isinstance(stage, InnovationsFit):
-            position.certainty, said = without_loosened(stage.certainty(position.state), self.parameters)
-            position.notes += said
+        elif isinstance(fit, InnovationsFit) and (fit is stage or not np.array_equal(position.theta, position.entry)):
+            position.certainty, said = without_loosened(fit.certainty(position.state), self.parameters)
+            # What was said at another maximum is no longer true.
+            position.notes = [note for note in position.notes if not note.endswith(HELPS)] + said
         elif isinstance(stage, LevenbergMarquardt):
             # For a stage that may end while the loss still falls by a few percent the curvature is not meaningful.
             known = stage.options.tolerance <= TIGHT
@@ -284,8 +292,9 @@ class _Runner:
         position.ridge = float(outcome.state.get("ridge", np.array(position.ridge)))
         position.damping = float(outcome.state.get("damping", np.array(position.damping)))
         position.iteration += 1
-        if isinstance(stage, InnovationsFit):
-            self.context.estimated = position.estimated = stage.estimated(position.state)
+        fit = _fit(stage)
+        if isinstance(fit, InnovationsFit):
+            self.context.estimated = position.estimated = fit.estimated(position.state)
         if outcome.note:
             position.notes.append(outcome.note)
         position.seconds = time.monotonic() - self._began

@@ -8,6 +8,7 @@ import numpy as np
 
 from gbspec.ir import Model
 from gbspec.runs import last_search
+from gbspec.training.optimise import equal
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts import CLEARLY, FOLLOWED, WORSE
@@ -46,7 +47,7 @@ def found_once(results: Mapping[int, MemberResult], effort: Effort, model: Model
     as_good = [member for member, loss in losses.items() if loss <= _bound(results, losses[best])]
     result, names = results[best], [stage.name for stage in results[best].stages]
     search = last_search(result.stages)
-    named = StageName.HORIZONS in names or any("other constants fit" in note for note in result.notes)
+    named = StageName.HORIZONS in names or any(equal.EQUALLY_WELL in note for note in result.notes)
     if search is None or search.times != 1 or len(as_good) > 1 or named or 1 + search.near >= FEW * search.improved:
         return []
     near = f", and {search.near} of the others ended near it" if search.near > 0 else ""

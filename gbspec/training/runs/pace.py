@@ -9,7 +9,7 @@ from gbspec.training.stages import StageName
 
 SEARCHES = frozenset({StageName.SEARCH, StageName.SEARCH_STARTS, StageName.JUMPS})
 """Stages each of whose iterations is a whole fit; most of those of the first two end after the first few."""
-LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.QUADRATURE})
+LIKELIHOODS = frozenset({StageName.MARGINAL, StageName.OTHER_MAXIMA, StageName.QUADRATURE})
 """Stages of populations, each of whose iterations seeks the constants of all trajectories."""
 TYPICAL = 0.15
 """The share of the largest numbers of iterations that is expected before a stage has ended: the median of 431 fits of

@@ -17,7 +17,7 @@ from gbspec.training.runs.ended_early import LIKELIHOODS
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.starts import CurveKind
 
-EDITION = 3
+EDITION = 4
 """The edition of the stages' states. A stage in a checkpoint of an earlier one begins again at the vector it had."""
 
 

@@ -27,15 +27,15 @@ from gbspec.training.engines import (
     residual_table,
     residual_vector,
 )
-from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, equal, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts.edges import at_jumps
 from gbspec.training.starts.own_constants import refit_own
 from gbspec.training.starts.sizes import solved_starts
 
-SAME, CLOSE = 1e-3, 1e-10
-"""Losses of the same minimum differ by less than this, relatively or absolutely."""
+CLOSE = 1e-10
+"""Losses of the same minimum differ by less than this, where they do not relatively (`equal.SAME`)."""
 ITERATIONS, FORCED = 60, 15
 """Largest numbers of iterations from one start: of whole solutions, and with teacher forcing before them."""
 EXACT = 1e-14
@@ -58,8 +58,6 @@ WORSE, CLEARLY = 0.05, 10.0
 OFTEN = 4
 """How much more often a minimum has to be found whose residuals do not look like noise: a better one may exist."""
 
-APART = 0.2
-"""Minima are compared if a constant differs by more than this, relatively."""
 MOST_MINIMA = 4
 """So many minima that are equally good are remembered."""
 SETTLED = 1e-6
@@ -159,10 +157,7 @@ class Search:
         self.options, self.iterations = OPTIONS, ITERATIONS
         columns = self.parameters.n_shared + self.parameters.n_local
         self.count = max(int(engine.problem.seen.sum()), 1)
-        self.indistinct = min(SAME, 1 / self.count)
-        """Relative differences of objectives that are none: of those minima the one nearest to the start is taken."""
-        self.unclear = math.expm1(1 / self.count)
-        """Those by which the data do not tell two minima apart: 1 in -2 log likelihood."""
+        self.indistinct, self.unclear = equal.indistinct(self.count), equal.unclear(self.count)
         self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
 
     def begin(self, theta: Array) -> State:
@@ -234,7 +229,7 @@ class Search:
 
     def _reached(self, found: Array, best: float) -> tuple[int, int]:
         """How many of the objectives are the best one, and how many others are of no worse minimum."""
-        same = found <= best * (1 + SAME) + CLOSE
+        same = found <= best * (1 + equal.SAME) + CLOSE
         no_worse = found <= best * (1 + max(WORSE, CLEARLY / self.count))
         return int(same.sum()), int((no_worse & ~same).sum())
 
@@ -273,8 +268,7 @@ class Search:
 
     def _differ(self, one: Array, other: Array) -> bool:
         """Whether a constant differs clearly between two vectors."""
-        first, second = self._shared(one), self._shared(other)
-        return bool((np.abs(first - second) > APART * np.maximum(np.abs(first), np.abs(second))).any())
+        return equal.differ(self._shared(one), self._shared(other))
 
     def _apart(self, one: Array, other: Array, engine: Engine) -> bool:
         """Whether two vectors are separate minima: a constant differs clearly, and half-way between them is worse."""
@@ -291,12 +285,11 @@ class Search:
     def _preferred(self, minima: State, theta: Array, best: float) -> Array:
         """Of equally good minima the one nearest to the declared starting values: the data do not choose."""
         values = minima["values"]
-        equal = minima["minima"][values <= values.min(initial=np.inf) * (1 + self.indistinct) + EXACT]
-        if not len(equal):
+        as_good = minima["minima"][values <= values.min(initial=np.inf) * (1 + self.indistinct) + EXACT]
+        if not len(as_good):
             return theta
         declared = self.parameters.vector(self.parameters.natural(theta))[self.parameters.places]
-        distances = np.linalg.norm(equal[:, self.parameters.places] - declared, axis=1)
-        nearest = np.asarray(equal[int(np.argmin(distances))])
+        nearest = np.asarray(as_good[equal.nearest(as_good[:, self.parameters.places], declared)])
         return nearest if self._differ(nearest, theta) else theta
 
     def _others(self, minima: State, theta: Array) -> str:
@@ -306,20 +299,7 @@ class Search:
             return ""
         least = float(minima["values"].min())
         rises = [self.count * math.log(value / least) if least > EXACT else 0.0 for _, value in told]
-        far = max(rises) > self.count * math.log1p(self.indistinct)
-        listed = [
-            f"{text} (-2 log likelihood higher by {rise:.2g})" if far else text
-            for (text, _), rise in zip(told, rises, strict=True)
-        ]
-        taken = (
-            "The best one was taken, but the data do not rule the others out, and intervals do not contain them"
-            if far
-            else "The one nearest to the declared starting values was taken"
-        )
-        return (
-            f"other constants fit the data equally well: {'; or '.join(listed)}. {taken}; narrower bounds, a prior or "
-            "a starting value say which is meant"
-        )
+        return equal.said_of_others([(text, rise) for (text, _), rise in zip(told, rises, strict=True)], self.count)
 
     def _rivals(self, minima: State, theta: Array) -> list[tuple[Array, float]]:
         """The minima other than the one that was taken, with their objectives."""
@@ -395,7 +375,7 @@ class Search:
         for attempt in range(3 if self.parameters.own else 0):
             trial = self._descended(self.engine, refit_own(self.engine, theta, self.seed + attempt), self.iterations)
             reached = self._objective(trial)
-            if not reached < best * (1 - SAME):
+            if not reached < best * (1 - equal.SAME):
                 break
             theta, best = trial, reached
         return theta, best

@@ -1,0 +1,151 @@
+"""Other maxima of likelihoods, where constants exchange their roles: they are told, and the declared start chooses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.data import Trajectories
+from gbspec.diagnostics import Findings
+from gbspec.ir import Learnable, Model, Range
+from gbspec.operations import tables
+from gbspec.training import TrainOptions, Update, train
+from gbspec.training.optimise.exchanges import exchanged, exchanges, exponents
+from gbspec.training.problem import Bijections
+from tests.training.test_populations import model_of, table
+
+SAID = "other constants fit the data equally well: "
+FAST = TrainOptions(backend="torch", device="cpu", effort="low", max_step=0.5)
+
+CHAIN = """model chain
+time t : day from 0
+state u in [0, 100]
+state c in [0, 100]
+learn dose = 10 in [0.1, 1000] per trajectory ~ lognormal
+learn ka : 1/day = {} in [0.01, 5]
+learn ke : 1/day = {} in [0.01, 5]
+u' = -ka*u
+c' = ka*u - ke*c
+initial u = dose
+initial c = 0
+observe x = c noise normal(0.1)
+"""
+MEMORY = """model memory
+time t
+state y = 0
+state d = 0
+learn k = {} in [0.01, 20]
+learn tau = {} in [0.05, 50]
+learn s = 0.5 in [0.01, 5]
+y' = -k*y + d
+d' = -d/tau
+diffusion d = s
+observe y
+"""
+
+
+def chain(folder: Path, ka: float, ke: float) -> tuple[Model, Trajectories]:
+    """Eight subjects with rates of 0.9 and 0.3 per day and doses about 10."""
+    random, times = np.random.default_rng(4), np.array([0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0])
+    doses = 10 * np.exp(0.5 * random.standard_normal((8, 1)))
+    values = doses * 1.5 * (np.exp(-0.3 * times) - np.exp(-0.9 * times)) + 0.1 * random.standard_normal((8, 7))
+    model = model_of(CHAIN.format(ka, ke), folder)
+    return model, tables.read_data(table(folder, values, times), model, Findings())
+
+
+def memory(folder: Path, k: float, tau: float) -> tuple[Model, Trajectories]:
+    """A record of 250 rows with k = 0.3 and tau = 0.5."""
+    random, step = np.random.default_rng(1), 0.05
+    y = d = 0.0
+    rows = ["t,y", "0,0"]
+    for i in range(1, 250 * 20):
+        y, d = y + step * (d - 0.3 * y), d - step * d / 0.5 + random.standard_normal() * np.sqrt(step)
+        rows += [f"{i * step},{y}"] if i % 20 == 0 else []
+    (folder / "data.csv").write_text("\n".join(rows) + "\n")
+    model = model_of(MEMORY.format(k, tau), folder)
+    return model, tables.read_data(folder / "data.csv", model, Findings())
+
+
+@pytest.mark.parametrize(("start", "found"), [((0.6, 0.2), (0.9, 0.3)), ((0.2, 0.6), (0.3, 0.9))])
+def test_rates_of_a_population_that_may_be_exchanged_are_both_named(
+    tmp_path: Path, start: tuple[float, float], found: tuple[float, float]
+) -> None:
+    fit = train(*chain(tmp_path, *start), FAST, tmp_path / "run").fit
+    assert (fit.constants["ka"].value, fit.constants["ke"].value) == pytest.approx(found, rel=0.15)
+    (warning,) = [text for text in fit.warnings if text.startswith(f"member 0: {SAID}")]
+    assert f"ka {fit.constants['ke'].value:.3g}, ke {fit.constants['ka'].value:.3g}" in warning
+    assert "The one nearest to the declared starting values was taken" in warning
+
+
+def test_bounds_leave_one_of_them(tmp_path: Path) -> None:
+    model, data = chain(tmp_path, 0.6, 0.2)
+    bounded = [replace(k, range=Range(0.01, 0.5)) if k.name == "ke" else k for k in model.learnables]
+    fit = train(replace(model, learnables=tuple(bounded)), data, FAST, tmp_path / "run").fit
+    assert not any(SAID in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize(("start", "above"), [((0.3, 0.6), False), ((2.0, 3.0), True)])
+def test_a_rate_and_the_time_of_a_memory_are_both_named(
+    tmp_path: Path, start: tuple[float, float], above: bool
+) -> None:
+    """With (k, tau) = (0.3, 0.5) the likelihood is that of (2, 3.3)."""
+    fit = train(*memory(tmp_path, *start), FAST, tmp_path / "run").fit
+    found = fit.constants["k"].value, fit.constants["tau"].value
+    assert (found[0] > 1) is above and (found[1] > 1) is above
+    (warning,) = [text for text in fit.warnings if SAID in text]
+    other = float(warning.split(SAID)[1].split(" ")[1].rstrip(","))
+    assert other == pytest.approx(1 / found[1], rel=0.1)
+
+
+class Stop:
+    """Interrupts the second iteration of the stage."""
+
+    def update(self, update: Update) -> None:
+        if update.stage == "other maxima" and update.iteration == 2:
+            raise KeyboardInterrupt
+
+    def message(self, text: str) -> None:
+        pass
+
+
+def test_an_interrupted_search_goes_on(tmp_path: Path) -> None:
+    model, data = memory(tmp_path, 2.0, 3.0)
+    whole = train(model, data, FAST, tmp_path / "run").fit
+    with pytest.raises(KeyboardInterrupt):
+        train(model, data, FAST, tmp_path / "again", Stop())
+    resumed = train(model, data, replace(FAST, resume=True), tmp_path / "again").fit
+    assert {k: v.value for k, v in resumed.constants.items()} == {k: v.value for k, v in whole.constants.items()}
+    assert resumed.warnings == whole.warnings
+
+
+def learned(name: str, low: float, high: float, unit: str | None = None) -> Learnable:
+    return Learnable(name, start=float(np.sqrt(low * high)), range=Range(low, high), unit=unit)
+
+
+def test_units_and_bounds_tell_which_constants_exchange_their_roles() -> None:
+    """With CL = 3 L/h and V = 30 L elimination has the rate 0.1/h: absorption may have it, and V is then CL/ka = 2."""
+    each = (learned("ka", 0.01, 20, "1/h"), learned("CL", 0.1, 50, "L/h"), learned("V", 1, 300, "L"))
+    values, declared = np.array([1.5, 3.0, 30.0]), np.array([1.0, 3.0, 30.0])
+    (matrix,) = exchanges(values, declared, Bijections.of(each), exponents(each))
+    assert exchanged(values, matrix) == pytest.approx([0.1, 3.0, 2.0])
+    assert exchanged(exchanged(values, matrix), matrix) == pytest.approx(values)
+    narrow = (learned("ka", 0.2, 20, "1/h"), *each[1:])
+    assert not exchanges(values, declared, Bijections.of(narrow), exponents(narrow))
+    plain = tuple(replace(k, unit=None) for k in each)
+    assert len(exchanges(values, declared, Bijections.of(plain), exponents(plain))) > 3, "without units, more"
+
+
+def test_amplitudes_go_with_their_rates() -> None:
+    each = tuple(learned(name, 0.01, 100, unit) for name, unit in zip("abkl", ("V", "V", "1/s", "1/s"), strict=True))
+    values = np.array([2.0, 1.0, 0.3, 5.0])
+    found = [exchanged(values, one) for one in exchanges(values, values, Bijections.of(each), exponents(each))]
+    assert any(np.allclose(one, [1.0, 2.0, 5.0, 0.3]) for one in found)
+
+
+def test_exponents_are_those_of_canonical_units() -> None:
+    each = [learned("a", 1, 2, "kg*m^2/s^(1/2)"), learned("b", 1, 2, "1/s"), learned("c", 1, 2)]
+    assert exponents(each).tolist() == [[1.0, 2.0, -0.5], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
+    assert exponents(each[2:]).shape == (1, 0) and exponents([]).shape == (0, 0)
