@@ -55,6 +55,11 @@ class StageName(StrEnum):
 UNNAMED = frozenset({StageName.LEVENBERG_MARQUARDT, StageName.WARM_START})
 """Stages that other options select (`--method`, `--no-warm-start`); `--stages` selects among the others."""
 
+MAYBE = frozenset(
+    {StageName.SHORTER, StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.OTHER_MAXIMA, StageName.QUADRATURE}
+)
+"""Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
+
 _MOST: Mapping[str, tuple[int, int, int]] = {
     StageName.ADAM: (15, 25, 60),
     StageName.IMPUTED: (4, 6, 10),

@@ -56,8 +56,7 @@ SPREAD = 0.07
 """A fit under the evidence's ridge rests where iterations move predictions by less than this many of their standard
 deviations; what moves them less only shrinks weights that the data leave open."""
 BELIEVED = 1e-3
-"""Measured initial values of known forms are taken as exact up to this typical residual, in standard deviations of the
-data: whole solutions may amplify their errors."""
+"""Measured starts of known forms count as exact up to this typical residual, in standard deviations of the data."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 

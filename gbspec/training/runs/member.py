@@ -53,17 +53,12 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import HELPS, without_loosened, without_tied
 from gbspec.training.runs.unmoved import without_unmoved
 from gbspec.training.runs.verdict import widening
-from gbspec.training.stages import StageName
+from gbspec.training.stages import MAYBE, StageName
 
 SAVE_EVERY = 5.0
 """Seconds between saved states within a stage; one is also written at every stage's end and on interruption."""
 SAVING_SHARE = 0.05
 """The share of the time that saving may take where it is slow: the whole solution is computed each time."""
-
-MAYBE = frozenset(
-    {StageName.SHORTER, StageName.CUT, StageName.FINER, StageName.JUMPS, StageName.OTHER_MAXIMA, StageName.QUADRATURE}
-)
-"""Stages that run where a check at the end of the others asks for them: not part of the time that is left."""
 
 TIGHT = 1e-3
 """Stages whose tolerance is at most this are expected to converge; the size of the next step is the criterion."""
