@@ -1,4 +1,6 @@
-"""The stage that looks for other maxima of a likelihood at rest: those as high are told, a higher one is taken.
+"""The stage that looks for other maxima of a likelihood at rest: those as high, or higher, are named.
+
+A much higher one is taken, another one only where it is nearer to the declared starting values.
 
 A search of least squares tries many starts, and a likelihood begins where it ends: that may be between two maxima (two
 rates that may be exchanged are fitted as equal), or beside the wrong one. From places where constants have exchanged
@@ -33,15 +35,17 @@ HIGH = 2.0
 SLOW = 0.1
 """A trial further off ends where an iteration lowers -2 log likelihood by less than this share of what is missing."""
 CLEARLY = 10.0
-"""A maximum that is higher by less, in -2 log likelihood, is told from the one that was left."""
+"""A maximum that is higher by less, in -2 log likelihood, is taken only if it is nearer to the declared values: of two
+rates that may be exchanged the likelier ones may be those that nobody means (a drug absorbed for days)."""
 ALIKE = 1.0
 """The data do not tell maxima apart whose -2 log likelihood differs by less."""
 LEFT = (
     "where this fit was before; that is a maximum too. Narrower bounds or a prior say which is meant, where more is "
     "known than the data tell"
 )
-TRIAL, FOUND = "trial.", "found{}."
-"""What the entries begin with that are of the trial under way, and of other maxima that were found."""
+TRIAL, FOUND, BEFORE = "trial.", "found{}.", "before."
+"""What the entries begin with that are of the trial under way, of other maxima that were found, and of the maximum at
+which the stage began, where a higher one was found."""
 
 
 class Maximised(Protocol):
@@ -182,6 +186,8 @@ class OtherMaxima:
         kept = np.flatnonzero(values <= values.min() + ALIKE)
         first, *others = ([*known, maximum][i] for i in kept)
         new = _numbers(state) | first | {"values": values[kept]}
+        if 0 not in kept:
+            new |= _named(BEFORE, _under(state, BEFORE) or known[0])
         for i, one in enumerate(others):
             new |= _named(FOUND.format(i), one)
         return new
@@ -202,9 +208,29 @@ class OtherMaxima:
         told = [(self._text(of.values(found[i])), float(rises[i])) for i in range(len(found)) if i != taken]
         new: State = _numbers(state) | found[taken] | {"values": np.array([of.objective(found[taken])])}
         fell = scalar(state, "begun") - float(new["values"][0])
+        before = _under(state, BEFORE)
+        if before and fell < CLEARLY and not self._nearer(found[taken], before):
+            return self._stayed(state, before, found[taken], fell)
         said = self._said(state, len(told), fell)
         note = f"{said}, {LEFT}" if ALIKE < fell < CLEARLY and not told else said_of_others(told, of.count)
         return Outcome(new, self._loss(new), True, note, said)
+
+    def _nearer(self, one: State, other: State) -> bool:
+        """Whether one state is nearer to the declared values than another."""
+        of = self.of
+        places = np.array([of.maps.from_natural(of.values(each)) for each in (other, one)])
+        return nearest(places, of.maps.from_natural(of.declared)) == 1
+
+    def _stayed(self, state: State, before: State, higher: State, fell: float) -> Outcome:
+        """The end at the maximum at which the stage began, although there is a higher one."""
+        text = self._text(self.of.values(higher))
+        note = (
+            f"the likelihood has a higher maximum: at {text}, -2 log likelihood is lower by {fell:.3g}. The one nearer "
+            "to the declared starting values was kept; begin there if the other one is meant, or exclude it by "
+            "narrower bounds or a prior"
+        )
+        new: State = _numbers(state) | before | {"values": np.array([scalar(state, "begun")])}
+        return Outcome(new, self._loss(new), True, note, f"-2 log likelihood would be lower by {fell:.3g} at {text}")
 
     def _said(self, state: State, others: int, fell: float) -> str:
         """How the search ended, with the number of other maxima as high and the fall of -2 log likelihood."""
