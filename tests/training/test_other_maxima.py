@@ -90,7 +90,7 @@ def test_a_higher_maximum_further_from_the_declared_values_is_named(tmp_path: Pa
         text = text.replace(f"in {bounds} per trajectory", "in [0.005, 300] per trajectory")
     model = model_of(text, tmp_path)
     data = tables.read_data(path, model, Findings())
-    fit = train(model, data, replace(FAST, max_step=0.1), tmp_path / "run").fit
+    fit = train(model, data, TrainOptions(device="cpu", effort="low", max_step=0.1), tmp_path / "run").fit
     assert fit.constants["ka"].value == pytest.approx(1.59, rel=0.01)
     (warning,) = [text for text in fit.warnings if "the likelihood has a higher maximum" in text]
     assert "at ka 0.0848, CL 2.72, V 1.68, -2 log likelihood is lower by 6.4" in warning
