@@ -85,7 +85,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     items: list[PredictedTrajectory] = []
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
     covariance = run.certainties(run.best).covariance
-    each = filtered.smoothed() if covariance is None else filtered.smoothed_after(covariance.without(run.values))
+    each = filtered.smoothed_after(None if covariance is None else covariance.without(run.values))
     for item, longer, one, constants in zip(data.items, known, each, filtered.constants, strict=True):
         rows = item.times >= item.start
         log = np.concatenate([one.log_channels, one.log[hidden]])

@@ -80,6 +80,18 @@ def test_predictions_have_them_with_what_is_open_of_them(fitted: tuple[Run, Traj
     assert found.errors()["x"].covered > 0.7
 
 
+def test_bands_have_them_where_nothing_else_is_known(
+    fitted: tuple[Run, Trajectories], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fits with unknown functions keep no covariance."""
+    run, new = fitted
+    whole, certainties = analysing.predict(run, new, window=1), Run.certainties
+    monkeypatch.setattr(Run, "certainties", lambda self, member: replace(certainties(self, member), covariance=None))
+    some = analysing.predict(run, new, window=1)
+    for one, other in zip(whole.items, some.items, strict=True):
+        assert (other.sd[-1] <= one.sd[-1]).all() and other.sd[-1, 0] > 0.9 * one.sd[-1, 0] > 0.5
+
+
 def test_known_trajectories_keep_what_was_learned(fitted: tuple[Run, Trajectories]) -> None:
     run, new = fitted
     old = read(run.path.parent / "old.csv", run.model, Findings())

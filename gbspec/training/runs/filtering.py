@@ -101,16 +101,16 @@ class FilteredRun:
         deviations contain the uncertainty of the fitted parameters as `draws` of them show it."""
         return self._moments(self._path, self._of_draws(self._path, draws))
 
-    def smoothed_after(self, training: Covariance | FilteredRun) -> list[RowMoments]:
+    def smoothed_after(self, training: Covariance | FilteredRun | None) -> list[RowMoments]:
         """The same with the uncertainty that the fit to other data has left of what all trajectories share: its
-        covariance, or the filter of these data."""
+        covariance, or the filter of these data (None: it is not known); and with that of constants of new ones."""
         return self._moments(self._path, self._of_training(self._path, training))
 
     def one_ahead(self, draws: int = 0) -> list[RowMoments]:
         """The same as `smoothed` as the measurements before each row show them; NaN in the first rows."""
         return self._moments(self._before, self._of_draws(self._before, draws))
 
-    def one_ahead_after(self, training: Covariance | FilteredRun) -> list[RowMoments]:
+    def one_ahead_after(self, training: Covariance | FilteredRun | None) -> list[RowMoments]:
         """The same with the uncertainty that the fit to other data has left."""
         return self._moments(self._before, self._of_training(self._before, training))
 
@@ -132,7 +132,7 @@ class FilteredRun:
         z, y = (np.var(np.array(tables), axis=0, ddof=1) for tables in zip(*paths, strict=True))
         return z, y
 
-    def _of_training(self, path: _Path, training: Covariance | FilteredRun) -> _Variances | None:
+    def _of_training(self, path: _Path, training: Covariance | FilteredRun | None) -> _Variances | None:
         """The same by differences along the columns of a square root of a covariance of shared constants, or along
         draws of all shared parameters; with what is open of constants of new trajectories."""
         if not self.finite:
@@ -151,9 +151,11 @@ class FilteredRun:
         z, y = (np.sum(np.array(tables), axis=0) for tables in zip(*some, strict=True))
         return z, y
 
-    def _displaced(self, training: Covariance) -> list[Array]:
-        """Changes of the vector whose mean outer product is a covariance of shared constants."""
-        parameters, out = self.engine.parameters, []
+    def _displaced(self, training: Covariance | None) -> list[Array]:
+        """Changes of the vector whose mean outer product is a covariance of shared constants; none without one."""
+        if training is None:
+            return []
+        parameters, out = self.engine.parameters, list[Array]()
         places = slice(parameters.n_weights, parameters.n_shared)
         slopes = parameters.bijections(parameters.shared).derivative(self.vector[places])
         names = [parameters.model.learnables[i].name for i in parameters.shared]
