@@ -23,8 +23,8 @@ LARGEST, SMALLEST = 1e100, 1e-100
 OTHER_UNIT = "choose a unit in which its values are of moderate size"
 
 
-def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
-    """A column as float64 [n], NaN where the cell is empty or a word of `MISSING`.
+def numbers(sheet: Sheet, name: str, findings: Findings, limits: bool = False) -> Array:
+    """A column as float64 [n], NaN where the cell is empty or a word of `MISSING`; `limits`: its cells may be limits.
 
     Reports cells that are not numbers (GB712), infinite ones (GB713), columns of another kind (GB730), and numbers that
     are too large or too small to compute with (GB731).
@@ -47,7 +47,7 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
         return np.full(len(series), np.nan)
     bad = np.flatnonzero(np.isnan(values) & ~missing)
     infinite = np.flatnonzero(np.isinf(values))
-    _report_text(sheet, name, bad, texts, findings)
+    _report_text(sheet, name, bad, texts, findings, limits)
     for i, notes in shown(infinite, "cells"):
         row = int(sheet.rows[i])
         findings.error(
@@ -87,7 +87,9 @@ def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, Mask, pl.
     return values, missing, texts
 
 
-def _report_text(sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Series | None, findings: Findings) -> None:
+def _report_text(
+    sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Series | None, findings: Findings, limits: bool
+) -> None:
     """Reports cells that are not numbers, with a guess at the intended number."""
     for i, notes in shown(bad, "cells"):
         text = "" if texts is None else str(texts[i])
@@ -97,12 +99,12 @@ def _report_text(sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Serie
             "GB712",
             f"`{short}` in row {row} of column `{name}` is not a number",
             Cell(sheet.path, row, name),
-            help=_meant(text),
+            help=_meant(text, limits),
             notes=notes,
         )
 
 
-def _meant(text: str) -> str:
+def _meant(text: str, limits: bool) -> str:
     """A help line for a text that is not a number."""
     if re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", text):
         return f"write a point as the decimal sign: `{text.replace(',', '.')}`"
@@ -114,7 +116,7 @@ def _meant(text: str) -> str:
         return "a date or a time of day: write the time since the start as a number, in the model's unit of time"
     if match := re.match(r"[-+]?[\d.]+([eE][-+]?\d+)?", text):
         return f"keep only the number, `{match.group()}`, and put its unit into the model"
-    if text.lower().strip(" .") in BELOW:
+    if limits and text.lower().strip(" .") in BELOW:
         return "write `<` and the limit as a number (`<0.05`: a censored value); empty means that nothing was measured"
     return "leave the cell empty where nothing was measured"
 

@@ -25,15 +25,15 @@ def measured(sheet: Sheet, name: str, findings: Findings) -> tuple[Array, Sides]
     series = sheet.columns[name]
     side = np.zeros(len(series), dtype=np.int8)
     if series.dtype not in (pl.String, pl.Categorical):
-        return numbers(sheet, name, findings), side
+        return numbers(sheet, name, findings, limits=True), side
     texts = series.cast(pl.String).fill_null("")
     limit = texts.str.contains(LIMIT).to_numpy()
     if not limit.any():
-        return numbers(sheet, name, findings), side
+        return numbers(sheet, name, findings, limits=True), side
     above = texts.str.strip_chars().str.contains("^[>≥]").to_numpy()
     side[limit] = np.where(above[limit], 1, -1)
     plain = replace(sheet, columns={**sheet.columns, name: texts.str.replace(LIMIT, "$2")})
-    return numbers(plain, name, findings), side
+    return numbers(plain, name, findings, limits=True), side
 
 
 def sides(sheet: Sheet, name: str, findings: Findings) -> Sides:

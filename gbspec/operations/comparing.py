@@ -197,6 +197,9 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
         said = "has unknown functions, whose weights have a prior: it is not at a maximum of likelihood"
     elif any(learnable.prior is not None for learnable in run.model.learnables):
         said = "has constants with a prior: it is not at a maximum of likelihood"
+    elif found.maximum is False:
+        said = "is not at the maximum of its likelihood: its stage `innovations` ended early"
+        help_text = "the warnings of the run say more; maxima are compared"
     elif None not in (found.least, found.aic, found.bic):
         return
     elif found.minus2ll is None:

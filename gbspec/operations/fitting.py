@@ -122,9 +122,7 @@ def profile(
 
 def without_disturbances(command: str) -> Diagnostic:
     """The diagnostic (GB772) of a command that does not know random disturbances."""
-    message = (
-        f"`gbspec {command}` is not for a model with `diffusion`: it computes squared residuals of whole solutions"
-    )
+    message = f"`gbspec {command}` is not offered for a model with `diffusion`, whose likelihood is that of innovations"
     help = (
         "`gbspec report` and `fit.json` have the standard deviations and intervals of its constants; `gbspec compare` "
         "tests it against a fit with one of them at a value (`const`)"

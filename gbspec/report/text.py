@@ -276,6 +276,7 @@ def innovations_line(run: Run) -> list[str]:
     if found is None or value is None:
         return []
     where = "at the estimates" if found.least is None else "at its maximum"
+    where = "not at its maximum" if found.maximum is False else where
     said = f"-2 log likelihood {value:.4f} (innovations; {where}), {found.parameters} parameters"
     if found.aic is None or found.bic is None:
         return [said]

@@ -88,7 +88,8 @@ def _headline(run: Run, found: Validation, warnings: Sequence[str], reserved: bo
     worse = any("whole solutions follow" in warning for warning in warnings)
     if not with_data:
         return "Without its data, this fit cannot be judged."
-    if run.fit.population is not None and not (run.fit.population.maximum or run.fit.population.held):
+    at_none = run.innovations is not None and run.innovations.maximum is False
+    if at_none or (run.fit.population is not None and not (run.fit.population.maximum or run.fit.population.held)):
         return "Do not rely on this fit: its likelihood is not at its maximum."
     if worse or found.empty or "badly" in followed:
         return "Do not rely on this fit: its solutions do not follow the data."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -119,7 +119,8 @@ class LikelihoodRecord:
     """The likelihood of a fit: `objective` says which. `parameters` is the number of fitted ones, `minus2ll` is that at
     the estimates, of which sizes of disturbances and noises maximise the restricted likelihood, and `least` at the
     maximum of the likelihood itself, to which `aic` and `bic` belong. With priors, which weights of unknown functions
-    have too, these three are None; in runs of older versions `least` is, and `aic` and `bic` are at the estimates."""
+    have too, these three are None; in runs of older versions `least` is, and `aic` and `bic` are at the estimates.
+    `maximum` is False where the fit did not come to one."""
 
     objective: str
     minus2ll: float | None
@@ -130,7 +131,13 @@ class LikelihoodRecord:
     noise: Mapping[str, NoiseRecord] = field(default_factory=dict)
     whiteness: Mapping[str, WhitenessRecord] = field(default_factory=dict)
     least: float | None = field(default=None, metadata=OMITTED)
+    maximum: bool | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
+
+    def without_maximum(self) -> LikelihoodRecord:
+        """That of a fit that did not come to its maximum: without criteria and intervals."""
+        noise = {name: replace(one, sd_of_log=None, interval=None) for name, one in self.noise.items()}
+        return replace(self, aic=None, bic=None, least=None, maximum=False, noise=noise)
 
 
 @dataclass(frozen=True)

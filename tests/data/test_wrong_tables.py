@@ -264,6 +264,11 @@ def test_a_cell_that_is_not_a_number_gets_a_hint(reading: Reader, cell: str, hin
     assert [d.code for d in findings] == ["GB712"] and hint in findings[0].help
 
 
+def test_words_for_limits_of_what_is_no_channel(reading: Reader) -> None:
+    _, findings = reading(HEAD + FIRST + "1,1,0.5,1,LOQ\n")
+    assert [d.code for d in findings] == ["GB712"] and "censored" not in findings[0].help
+
+
 def test_limits_of_what_is_no_channel(reading: Reader) -> None:
     _, findings = reading(HEAD + FIRST + "1,1,0.5,1,<0.3\n")
     assert [d.code for d in findings] == ["GB712"] and "limit" in findings[0].help

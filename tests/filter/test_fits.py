@@ -16,7 +16,8 @@ from gbspec.data import SimulateOptions, Trajectories, read
 from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import Model
-from gbspec.operations import analysing, fitting, models
+from gbspec.operations import analysing, comparing, fitting, models
+from gbspec.report.text import run_summary
 from gbspec.runs import Covariance, Run, files, open_run
 from gbspec.training import TrainOptions, filter_run, stages, train
 from gbspec.training.engines import whiteness
@@ -93,6 +94,14 @@ def test_the_last_iteration_below_the_maximum_is_no_fit(
     assert "the stage `innovations` ended early: -2 log likelihood is still falling in iteration 2, the last" in told
     assert "It is no fit" in told and "`--effort high`" in told
     assert all(one.sd is None for one in run.fit.constants.values())
+    found = run.fit.members[0].likelihood
+    assert found is not None and found.maximum is False and (found.least, found.aic, found.bic) == (None,) * 3
+    assert all(one.interval is None for one in found.noise.values())
+    assert run.certainties(0).covariance is None and "innovations; not at its maximum" in run_summary(
+        open_run(run.path)
+    )
+    with pytest.raises(UserError, match="GB775"):
+        comparing.compare([fitted[0], run])
     assert not any("ended early" in one for one in fitted[0].fit.warnings)
 
 

@@ -45,5 +45,5 @@ def not_at_maximum(fall: float, iterations: int, stuck: bool) -> ComputationErro
     return ComputationError(
         f"-2 log likelihood is still falling in iteration {iterations}, the last one; the next step promises "
         f"{fall:.2g} less",
-        remedy="`--effort high`, which takes more iterations, narrower bounds, or starts nearer to what is meant",
+        remedy="more iterations (`--effort high`), narrower bounds, or starts nearer to what is meant",
     )

@@ -15,6 +15,7 @@ from typing import Protocol
 from gbspec.arrays import Array
 from gbspec.ir import Model
 from gbspec.runs import ProfileRecord, Run, write_profile
+from gbspec.training.problem import Bijection
 from gbspec.training.profile.agreement import OTHER_BEST, Found, compared
 from gbspec.training.profile.possible import of_fit
 from gbspec.training.profile.result import Profile, ProfilePoint
@@ -23,6 +24,9 @@ from gbspec.training.profile.side import Known, Side, closely
 
 WIDEST = 0.5
 """Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
+
+ENDED = 2e-3
+"""A profile that begins so close to a bound, as a share of the range, begins at it."""
 
 Report = Callable[[float, float], None]
 
@@ -42,14 +46,15 @@ class Fitted:
 
 @dataclass
 class Basis:
-    """What a profile is computed from: the constant's `name` and the `column` of its entry in the vector, that entry's
-    standard `deviation`, the `threshold` of the deviance and the objective's `unit` of it, and the noise (None: the
-    likelihood contains it). `failed` is the value at which nothing could be fitted, by the direction from the
-    estimate."""
+    """What a profile is computed from: the constant's `name` and the `column` of its entry in the vector, the
+    `threshold` of the deviance, the `map` of the constant's bounds, the entry's standard `deviation`, the objective's
+    `unit` of the deviance, and the noise (None: the likelihood contains it). `failed` is the value at which nothing
+    could be fitted, by the direction from the estimate."""
 
     name: str
     column: int
     threshold: float
+    map: Bijection
     deviation: float = 0.0
     unit: float = 1.0
     noise: float | None = None
@@ -58,6 +63,11 @@ class Basis:
     def deviance(self, one: Fitted, best: Fitted) -> float:
         """The deviance of a fit from another one."""
         return (one.objective - best.objective) / self.unit
+
+    def bound(self, begun: Fitted, direction: float) -> float | None:
+        """The bound in a direction, if the fit with which the profile has begun is at it."""
+        bound = self.map.low if direction < 0 else self.map.high
+        return bound if self.map.distance(begun.value, bound) <= ENDED else None
 
 
 class Profiler(Protocol):
@@ -145,14 +155,16 @@ def _assembled(member: int, begun: Fitted, fits: list[Fitted], profiler: Profile
     ]
     sides = {"lower": points[at::-1], "upper": points[at:]}
     low, high = (_crossing(side, level) for side in sides.values())
+    # Where the fit ended at a bound, the interval does too: nothing lies beyond it.
+    low, high = (basis.bound(begun, -1.0) if low is None else low), (basis.bound(begun, 1.0) if high is None else high)
     slow = sum(not point.converged for point in points)
     if slow:
         low = high = None
         notes.append(f"{slow} of {len(points)} fits have not converged, so that their deviances are too large and no "
                      "interval can be given: allow more `--iterations`")  # fmt: skip
     else:
-        ends = (("below", low, -1.0), ("above", high, 1.0))
-        open_sides = [side for side, end, sign in ends if end is None and sign not in basis.failed]
+        both = (("below", low, -1.0), ("above", high, 1.0))
+        open_sides = [side for side, end, sign in both if end is None and sign not in basis.failed]
         notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
         notes += [text for which, side in sides.items() for text in _said_of_gap(which, side, level)]
     notes += said_of_better(name, points[fits.index(begun)], points[at])

@@ -112,7 +112,8 @@ class _Profiler:
         self.kept = Kept.of(run, member, name, trajectories)
         self.notes: list[str] = []
         self.variance, self.deviation, self.narrowed = 1.0, 0.0, 0.0
-        self.basis = Basis(name, self.column, self.threshold)
+        self.map = Bijection.of(run.model.learnables[self.parameters.shared[self.place]])
+        self.basis = Basis(name, self.column, self.threshold, self.map)
 
     def estimate(self) -> Fitted:
         """The fit with all parameters free; sets the noise, the prior, and the linear path of the later fits."""
@@ -136,7 +137,8 @@ class _Profiler:
         if self.target.ridge > first.ridge:
             self._compare(first, rest.theta)
         noise = math.sqrt(self.variance)
-        self.basis = Basis(self.name, self.column, self.threshold, self.deviation, self.variance / 2, noise)
+        given = self.name, self.column, self.threshold, self.map
+        self.basis = Basis(*given, self.deviation, self.variance / 2, noise)
         return self._fitted(Refit(rest))
 
     def _freedom(self, problem: Problem, equations: NormalEquations, residuals: Array) -> float:

@@ -19,11 +19,17 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.runs import Run, files
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import Counted, Point, modes_of, with_held
+from gbspec.training.problem import Bijection
 from gbspec.training.profile.assembled import WIDEST, Basis, Fitted, Report, profile_from
 from gbspec.training.profile.possible import parameter_names
 from gbspec.training.profile.result import Profile
 from gbspec.training.recipe import marginal_objective
 from gbspec.training.runs import agreed, restored_fit
+
+INSIDE = 1e-3
+"""Fits begin with a parameter off its bounds by this share of the range."""
+FLAT = 1e-8
+"""An entry with less of the largest information has none: its scale ends there."""
 
 
 def profile_of_likelihood(
@@ -58,15 +64,31 @@ class _OfLikelihood:
         self.name = name
         self.place = self._names[name] if name in self._names else layout.names[name]  # a spread
         column = self.weights + self.place
-        self.basis = Basis(name, column, run.fit.quantile**2, self._deviation(column))
-        self.estimate = self._fitted(self.point, self.point.objective, converged=True)
-        self._points: dict[float, Point] = {float(self.estimate.theta[column]): self.point}
+        self.basis = Basis(name, column, run.fit.quantile**2, Bijection.of(layout.each[self.place]))
+        begun = self._begun()
+        self.basis.deviation = self._deviation(begun)
+        self.estimate = self._fitted(begun, begun.objective, converged=True)
+        self._points: dict[float, Point] = {float(self.estimate.theta[column]): begun}
 
-    def _deviation(self, column: int) -> float:
-        """The standard deviation of an entry by the expected information, if that is known."""
-        curvature = self.objective.curvature(self.point, self.ridge) / 2
+    def _begun(self) -> Point:
+        """Where fits begin: the estimate, or what lies inside of the bound at which it ended, from where no step leads
+        away on the scale of training."""
+        value = float(self._natural(self.point.u)[self.place])
+        inside = self.basis.map.inside(value, INSIDE)
+        if math.isclose(inside, value, rel_tol=1e-9, abs_tol=0.0):
+            return self.point
+        found, point = with_held(
+            Counted(self.objective), self.point, self.ridge, self.place, inside, steps=self.iterations
+        )
+        return point if math.isfinite(found) else self.point
+
+    def _deviation(self, begun: Point) -> float:
+        """The standard deviation of the entry by the expected information, if that is known."""
+        curvature = self.objective.curvature(begun, self.ridge) / 2
+        column, diagonal = self.basis.column, np.diag(curvature)
         variance = float(np.linalg.pinv(curvature, hermitian=True)[column, column])
-        return math.sqrt(variance) if variance > 0 else WIDEST
+        known = diagonal[column] > FLAT * diagonal.max() and variance > 0
+        return math.sqrt(variance) if known else WIDEST
 
     def held(self, entry: float, neighbour: Fitted) -> Fitted:
         """The maximum with the parameter's entry at `entry`, from that of a neighbour."""

@@ -24,12 +24,14 @@ LIKELIHOODS = frozenset(
 WHOLE = frozenset({StageName.AUTOREGRESSIVE, StageName.AS_ASKED})
 """The stages that fit whole solutions where intervals were fitted before."""
 
-NO_ESTIMATES = "the likelihood is not at its maximum, so that constants are no estimates and have no intervals"
 NO_WHOLE = (
     "whole solutions were not fitted: what is kept was fitted to parts of the trajectories (from one row to the next, "
     "or segments), whose residuals would make intervals of constants too narrow, so that there are none"
 )
-NO_FIT = f"{NO_ESTIMATES}, and AIC and BIC are left out"
+NO_FIT = (
+    "the likelihood is not at its maximum, so that constants are no estimates and have no intervals, and AIC and BIC "
+    "are left out"
+)
 
 
 def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: bool, begun: bool = True) -> str:
@@ -52,11 +54,9 @@ def without_whole(notes: Sequence[str]) -> bool:
     return any(NO_WHOLE in note for note in notes)
 
 
-def said_of_unfinished(name: str, error: ComputationError, marginal: bool) -> str:
-    """A warning of a stage that took its last step before a maximum of the likelihood: of a `marginal` model, or of
-    innovations."""
-    why = NO_FIT if marginal else NO_ESTIMATES
-    return f"the stage `{name}` ended early: {error.what}. It is no fit: {why}; what may help: {error.remedy}"
+def said_of_unfinished(name: str, error: ComputationError) -> str:
+    """A warning of a stage that took its last step before a maximum of the likelihood."""
+    return f"the stage `{name}` ended early: {error.what}. It is no fit: {NO_FIT}; what may help: {error.remedy}"
 
 
 def said_of_no_maximum(notes: Sequence[str], maximum: bool, held: bool) -> list[str]:

@@ -10,16 +10,18 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.runs.ended_early import LIKELIHOODS, NO_FIT, said_of_unfinished
 from gbspec.training.runs.position import Position
+from gbspec.training.stages import StageName
 
 
-def note_end(position: Position, name: str, unfinished: ComputationError | None, marginal: bool) -> None:
+def note_end(position: Position, name: str, unfinished: ComputationError | None) -> None:
     """Notes that a stage took its last step: at a maximum if it is one of a likelihood, unless it is `unfinished`. What
-    was said of earlier stages that did not come to one is no longer true at a maximum."""
+    was said of earlier stages that did not come to one is no longer true at a maximum. A search for times of jumps,
+    whose fits take few steps, leaves the likelihood at its maximum only if it was there."""
     position.held &= not np.array_equal(position.best, position.theta)
     if unfinished is not None:
         position.maximum = False
-        position.notes.append(said_of_unfinished(name, unfinished, marginal))
-    elif name in LIKELIHOODS:
+        position.notes.append(said_of_unfinished(name, unfinished))
+    elif name in LIKELIHOODS - {StageName.JUMPS}:
         position.maximum = True
         position.notes = [note for note in position.notes if NO_FIT not in note]
 

@@ -37,7 +37,7 @@ from gbspec.training.runs.beginning import as_left, beginning
 from gbspec.training.runs.coarseness import said_of_splines
 from gbspec.training.runs.deviations import deviations_of_kept, said_of_left, take_deviations
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
-from gbspec.training.runs.ended_early import NO_FITS, said_of_end, said_of_no_maximum, without_whole
+from gbspec.training.runs.ended_early import NO_FIT, NO_FITS, said_of_end, said_of_no_maximum, without_whole
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_jumping
 from gbspec.training.runs.maximum import note_end, return_to_maximum
@@ -191,7 +191,7 @@ class _Runner:
                 position.state = stage.begin(position.theta)
             self.context.cutting = self.context.cutting or planned.name is StageName.CUT
             unfinished = self._take_steps(stage, stop)
-            note_end(position, planned.name, unfinished, self.context.model.marginal)
+            note_end(position, planned.name, unfinished)
             at_end = unfinished is None
         except ComputationError as error:
             position.notes.append(self._after_failure(planned, error))
@@ -384,6 +384,8 @@ class _Runner:
             result.left += self._unsteady(instance)
             known = certainties(self.context, self.parameters, position.best, names, instance)
             known = replace(known, covariance=shared) if marginal else known.widened(factor)
+            if result.likelihood is not None and any(NO_FIT in note for note in position.notes):
+                result.likelihood, known = result.likelihood.without_maximum(), replace(known, covariance=None)
             known.write(self.directory)
             result.left += said_of_switches(self.context, self.parameters, position.best, names)
         if position.finished and not marginal:
@@ -412,8 +414,10 @@ class _Runner:
         if not self.context.model.marginal:
             for without in (without_tied, without_misjudged, without_disturbances, without_jumping):
                 result.tied += without(result, self.context, self.parameters, self.position.best, names)
-            if result.at_most and known.covariance is not None:
-                replace(known, covariance=known.covariance.at_most(result.at_most)).write(self.directory)
+        covariance = known.covariance
+        at_most = {} if covariance is None else {k: v for k, v in result.at_most.items() if k in covariance.constants}
+        if covariance is not None and at_most:
+            replace(known, covariance=covariance.at_most(at_most)).write(self.directory)
         result.tied += without_unmoved(result, self.context, names)
 
     def _unsteady(self, instance: GeneratedModule) -> list[str]:
