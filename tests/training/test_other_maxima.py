@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.arrays import Array
 from gbspec.data import Trajectories, shipped_model
 from gbspec.diagnostics import Findings
 from gbspec.ir import Learnable, Model, Range
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, Update, train
-from gbspec.training.optimise.exchanges import exchanged, exchanges, exponents
+from gbspec.training.optimise import exchanges as exchanging
+from gbspec.training.optimise.exchanges import CONSIDERED, exchanged, exchanges
+from gbspec.training.optimise.units import exponents
 from gbspec.training.problem import Bijections
 from tests.training.test_populations import SHARED, model_of, table
 
@@ -149,9 +152,9 @@ def test_units_and_bounds_tell_which_constants_exchange_their_roles() -> None:
     assert exchanged(values, matrix) == pytest.approx([0.1, 3.0, 2.0])
     assert exchanged(exchanged(values, matrix), matrix) == pytest.approx(values)
     narrow = (learned("ka", 0.2, 20, "1/h"), *each[1:])
-    assert not exchanges(values, declared, Bijections.of(narrow), exponents(narrow))
+    assert not list(exchanges(values, declared, Bijections.of(narrow), exponents(narrow)))
     plain = tuple(replace(k, unit=None) for k in each)
-    assert len(exchanges(values, declared, Bijections.of(plain), exponents(plain))) > 3, "without units, more"
+    assert len(list(exchanges(values, declared, Bijections.of(plain), exponents(plain)))) > 3, "without units, more"
 
 
 def test_amplitudes_go_with_their_rates() -> None:
@@ -159,6 +162,40 @@ def test_amplitudes_go_with_their_rates() -> None:
     values = np.array([2.0, 1.0, 0.3, 5.0])
     found = [exchanged(values, one) for one in exchanges(values, values, Bijections.of(each), exponents(each))]
     assert any(np.allclose(one, [1.0, 2.0, 5.0, 0.3]) for one in found)
+
+
+def test_exchanges_of_many_constants_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    each = tuple(learned(f"k{i}", 0.001, 1000) for i in range(30))
+    values, looked_at = np.exp(np.random.default_rng(0).standard_normal(30)), 0
+
+    def counting(values: Array, matrix: Array) -> Array:
+        nonlocal looked_at
+        looked_at += 1
+        return exchanged(values, matrix)
+
+    monkeypatch.setattr(exchanging, "exchanged", counting)
+    found = exchanges(values, np.ones(30), Bijections.of(each), exponents(each))
+    next(found)
+    assert looked_at <= 30 * 29 / 2, "the first one takes the pairs alone"
+    assert 100 < len(list(found)) <= CONSIDERED
+    assert looked_at <= CONSIDERED
+
+
+@pytest.mark.parametrize(
+    ("unit", "same"),
+    [("1/(L*h)", "1/L/h"), ("h^0.5", "h^(1/2)"), ("h^-0.5", "1/h^0.5"), ("(kg*m)^2/s", "kg^2*m^2*s^-1"),
+     ("1000*g", "10^3*g"), ("m*1", "m")],
+)  # fmt: skip
+def test_units_that_are_written_otherwise_are_the_same(unit: str, same: str) -> None:
+    one, other, third = exponents(
+        [learned(name, 1, 2, text) for name, text in zip("abc", (unit, same, "h"), strict=True)]
+    )
+    assert np.allclose(one, other) and not np.allclose(one, third)
+
+
+def test_a_unit_that_cannot_be_read_is_one_of_its_own() -> None:
+    first, again, other, none = exponents([learned("a", 1, 2, text) for text in ("2 h", "2 h", "a*(", None)])
+    assert (first == again).all() and (first != other).any() and (first != none).any() and (other != none).any()
 
 
 def test_exponents_are_those_of_canonical_units() -> None:

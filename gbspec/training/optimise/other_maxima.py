@@ -10,7 +10,8 @@ trial that is under way is kept beside that of the best maximum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -107,16 +108,16 @@ class OtherMaxima:
 
     def possible(self, theta: Array) -> bool:
         """Whether constants may exchange their roles within their bounds."""
-        return bool(self._exchanges({"theta": theta}))
+        return next(self._exchanges({"theta": theta}), None) is not None
 
-    def _exchanges(self, state: State) -> list[Array]:
+    def _exchanges(self, state: State) -> Iterator[Array]:
         of = self.of
-        return exchanges(of.values(state), of.declared, of.maps, of.units)[: GLANCES * self.taken]
+        return exchanges(of.values(state), of.declared, of.maps, of.units)
 
     def begin(self, theta: Array) -> State:
         """The state at the maximum, with the exchanges from which to go on, the best first."""
         of, state, size = self.of, self.of.at(theta), len(self.of.names)
-        matrices, before = self._exchanges(state), of.values(state)
+        matrices, before = list(islice(self._exchanges(state), GLANCES * self.taken)), of.values(state)
         least, first = of.objective(state), of.glance(state)
         rises = np.array([self._glance(state, one) for one in matrices]) - first
         kept: list[Array] = []
