@@ -10,10 +10,11 @@ import pytest
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories, shipped_model
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import ComputationError, Findings
 from gbspec.ir import Learnable, Model, Range
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, Update, train
+from gbspec.training.optimise import OtherInnovations, OtherMaxima, Outcome, State
 from gbspec.training.optimise import exchanges as exchanging
 from gbspec.training.optimise.exchanges import CONSIDERED, exchanged, exchanges
 from gbspec.training.optimise.units import exponents
@@ -138,6 +139,43 @@ def test_an_interrupted_search_goes_on(tmp_path: Path) -> None:
     resumed = train(model, data, replace(FAST, resume=True), tmp_path / "again").fit
     assert {k: v.value for k, v in resumed.constants.items()} == {k: v.value for k, v in whole.constants.items()}
     assert resumed.warnings == whole.warnings
+
+
+def failing(*_: object) -> float:
+    raise ComputationError("the solution blew up")
+
+
+def test_a_failure_where_a_maximum_is_checked_is_no_maximum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(OtherInnovations, "finer", failing)
+    monkeypatch.setattr(OtherInnovations, "between", failing)
+    fit = train(*memory(tmp_path, 2.0, 3.0), FAST, tmp_path / "run").fit
+    assert fit.members[0].stages[-1].name == "other maxima"
+    assert not any(SAID in text or "ended early" in text for text in fit.warnings)
+    assert fit.constants["k"].sd is not None
+
+
+def test_a_failed_search_keeps_the_maximum_with_its_intervals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, data = memory(tmp_path, 2.0, 3.0)
+    step = OtherMaxima.step
+
+    def failed(self: OtherMaxima, state: State, iteration: int) -> Outcome:
+        if iteration == 2:
+            raise ComputationError("the solution blew up")
+        return step(self, state, iteration)
+
+    monkeypatch.setattr(OtherMaxima, "step", failed)
+    fit = train(model, data, FAST, tmp_path / "run").fit
+    (told,) = [text for text in fit.warnings if "ended early" in text]
+    assert "the maximum of the likelihood that was reached before is kept: the solution blew up" in told
+    monkeypatch.setattr(OtherMaxima, "possible", lambda *_: False)
+    without = train(model, data, FAST, tmp_path / "without").fit
+    assert fit.constants["k"].sd is not None
+    assert {k: (v.value, v.sd) for k, v in fit.constants.items()} == {
+        k: (v.value, v.sd) for k, v in without.constants.items()
+    }
+    assert [one.name for one in fit.members[0].stages] == [one.name for one in without.members[0].stages]
+    assert fit.members[0].loss == without.members[0].loss
+    assert fit.members[0].likelihood == without.members[0].likelihood is not None
 
 
 def learned(name: str, low: float, high: float, unit: str | None = None) -> Learnable:
