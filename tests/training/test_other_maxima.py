@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.arrays import Array
 from gbspec.data import Trajectories, shipped_model
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import ComputationError, Findings
 from gbspec.ir import Learnable, Model, Range
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, Update, train
-from gbspec.training.optimise.exchanges import exchanged, exchanges, exponents
+from gbspec.training.optimise import OtherInnovations, OtherMaxima, Outcome, State
+from gbspec.training.optimise import exchanges as exchanging
+from gbspec.training.optimise.exchanges import CONSIDERED, exchanged, exchanges
+from gbspec.training.optimise.units import exponents
 from gbspec.training.problem import Bijections
 from tests.training.test_populations import SHARED, model_of, table
 
@@ -137,6 +141,43 @@ def test_an_interrupted_search_goes_on(tmp_path: Path) -> None:
     assert resumed.warnings == whole.warnings
 
 
+def failing(*_: object) -> float:
+    raise ComputationError("the solution blew up")
+
+
+def test_a_failure_where_a_maximum_is_checked_is_no_maximum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(OtherInnovations, "finer", failing)
+    monkeypatch.setattr(OtherInnovations, "between", failing)
+    fit = train(*memory(tmp_path, 2.0, 3.0), FAST, tmp_path / "run").fit
+    assert fit.members[0].stages[-1].name == "other maxima"
+    assert not any(SAID in text or "ended early" in text for text in fit.warnings)
+    assert fit.constants["k"].sd is not None
+
+
+def test_a_failed_search_keeps_the_maximum_with_its_intervals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, data = memory(tmp_path, 2.0, 3.0)
+    step = OtherMaxima.step
+
+    def failed(self: OtherMaxima, state: State, iteration: int) -> Outcome:
+        if iteration == 2:
+            raise ComputationError("the solution blew up")
+        return step(self, state, iteration)
+
+    monkeypatch.setattr(OtherMaxima, "step", failed)
+    fit = train(model, data, FAST, tmp_path / "run").fit
+    (told,) = [text for text in fit.warnings if "ended early" in text]
+    assert "the maximum of the likelihood that was reached before is kept: the solution blew up" in told
+    monkeypatch.setattr(OtherMaxima, "possible", lambda *_: False)
+    without = train(model, data, FAST, tmp_path / "without").fit
+    assert fit.constants["k"].sd is not None
+    assert {k: (v.value, v.sd) for k, v in fit.constants.items()} == {
+        k: (v.value, v.sd) for k, v in without.constants.items()
+    }
+    assert [one.name for one in fit.members[0].stages] == [one.name for one in without.members[0].stages]
+    assert fit.members[0].loss == without.members[0].loss
+    assert fit.members[0].likelihood == without.members[0].likelihood is not None
+
+
 def learned(name: str, low: float, high: float, unit: str | None = None) -> Learnable:
     return Learnable(name, start=float(np.sqrt(low * high)), range=Range(low, high), unit=unit)
 
@@ -149,9 +190,9 @@ def test_units_and_bounds_tell_which_constants_exchange_their_roles() -> None:
     assert exchanged(values, matrix) == pytest.approx([0.1, 3.0, 2.0])
     assert exchanged(exchanged(values, matrix), matrix) == pytest.approx(values)
     narrow = (learned("ka", 0.2, 20, "1/h"), *each[1:])
-    assert not exchanges(values, declared, Bijections.of(narrow), exponents(narrow))
+    assert not list(exchanges(values, declared, Bijections.of(narrow), exponents(narrow)))
     plain = tuple(replace(k, unit=None) for k in each)
-    assert len(exchanges(values, declared, Bijections.of(plain), exponents(plain))) > 3, "without units, more"
+    assert len(list(exchanges(values, declared, Bijections.of(plain), exponents(plain)))) > 3, "without units, more"
 
 
 def test_amplitudes_go_with_their_rates() -> None:
@@ -159,6 +200,40 @@ def test_amplitudes_go_with_their_rates() -> None:
     values = np.array([2.0, 1.0, 0.3, 5.0])
     found = [exchanged(values, one) for one in exchanges(values, values, Bijections.of(each), exponents(each))]
     assert any(np.allclose(one, [1.0, 2.0, 5.0, 0.3]) for one in found)
+
+
+def test_exchanges_of_many_constants_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    each = tuple(learned(f"k{i}", 0.001, 1000) for i in range(30))
+    values, looked_at = np.exp(np.random.default_rng(0).standard_normal(30)), 0
+
+    def counting(values: Array, matrix: Array) -> Array:
+        nonlocal looked_at
+        looked_at += 1
+        return exchanged(values, matrix)
+
+    monkeypatch.setattr(exchanging, "exchanged", counting)
+    found = exchanges(values, np.ones(30), Bijections.of(each), exponents(each))
+    next(found)
+    assert looked_at <= 30 * 29 / 2, "the first one takes the pairs alone"
+    assert 100 < len(list(found)) <= CONSIDERED
+    assert looked_at <= CONSIDERED
+
+
+@pytest.mark.parametrize(
+    ("unit", "same"),
+    [("1/(L*h)", "1/L/h"), ("h^0.5", "h^(1/2)"), ("h^-0.5", "1/h^0.5"), ("(kg*m)^2/s", "kg^2*m^2*s^-1"),
+     ("1000*g", "10^3*g"), ("m*1", "m")],
+)  # fmt: skip
+def test_units_that_are_written_otherwise_are_the_same(unit: str, same: str) -> None:
+    one, other, third = exponents(
+        [learned(name, 1, 2, text) for name, text in zip("abc", (unit, same, "h"), strict=True)]
+    )
+    assert np.allclose(one, other) and not np.allclose(one, third)
+
+
+def test_a_unit_that_cannot_be_read_is_one_of_its_own() -> None:
+    first, again, other, none = exponents([learned("a", 1, 2, text) for text in ("2 h", "2 h", "a*(", None)])
+    assert (first == again).all() and (first != other).any() and (first != none).any() and (other != none).any()
 
 
 def test_exponents_are_those_of_canonical_units() -> None:

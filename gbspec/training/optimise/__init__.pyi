@@ -8,7 +8,6 @@ from .curvature import lack_of_fit as lack_of_fit
 from .curvature import log_evidence as log_evidence
 from .curvature import loosened as loosened
 from .exchanges import exchanged as exchanged
-from .exchanges import exponents as exponents
 from .held import tied_at_bounds as tied_at_bounds
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
@@ -46,3 +45,4 @@ from .stage import require_finite as require_finite
 from .stage import scalar as scalar
 from .unfinished import not_at_maximum as not_at_maximum
 from .unfinished import promised_fall as promised_fall
+from .units import exponents as exponents

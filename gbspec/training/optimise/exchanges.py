@@ -9,42 +9,39 @@ matrix M that is its own inverse; where units are declared, they must stay those
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
-from fractions import Fraction
-from itertools import combinations
+from collections.abc import Iterator
+from itertools import combinations, islice
 
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir import Learnable
 from gbspec.training.optimise.equal import differ
 from gbspec.training.problem import Bijections, Integers
 
-_FACTOR = re.compile(r"(^|[*/])([^*/^()]+)(?:\^\(?(-?\d+(?:/\d+)?)\)?)?")
-"""A factor of a unit in canonical form, such as `kg*m^2/s^(1/2)`."""
+CONSIDERED = 5000
+"""At most so many pairs and so many exchanges are looked at: k constants without units have about k^5/8 of these."""
 
 
-def exchanges(values: Array, declared: Array, maps: Bijections, units: Array) -> list[Array]:
+def exchanges(values: Array, declared: Array, maps: Bijections, units: Array) -> Iterator[Array]:
     """The matrices M [k, k] of exchanges of positive constants by which the natural `values` [k] change clearly and
-    stay inside of their bounds: first those of two constants with the values of each other; of these first pairs whose
-    order is not that of the `declared` values [k], then the nearest. `units` [k, d] are the exponents of units.
+    stay inside of their bounds, each made when it is asked for: first those of two constants with the values of each
+    other; of these first pairs whose order is not that of the `declared` values [k], then the nearest. `units` [k, d]
+    are the exponents of units. At most `CONSIDERED` are looked at, possible or not.
     """
-    found: list[tuple[bool, bool, float, list[Array]]] = []
-    place = maps.from_natural(values)
-    for pair in combinations(range(len(values)), 2):
-        i, j = pair
-        turned = (values[i] < values[j]) != (declared[i] < declared[j])
-        for matrix in _of_pair(len(values), pair):
-            first = exchanged(values, matrix)
-            if not (_possible(values, matrix, units) and _inside(first, maps) and differ(first, values)):
-                continue
-            further = (one for one in _with_others(matrix, pair) if _possible(values, one, units))
-            family = [matrix, *(one for one in further if _inside(exchanged(values, one), maps))]
-            distance = float(np.linalg.norm(maps.from_natural(first) - place))
-            found.append((matrix[i, j] < 0, not turned, distance, family))
-    found.sort(key=lambda each: each[:3])
-    return [one for *_, family in found for one in family]
+    place, left = maps.from_natural(values), iter(range(CONSIDERED))
+    for turned in (False, True):
+        found: list[tuple[bool, float, _Places]] = []
+        for places, _ in zip(_of_pairs(values, units, turned), left, strict=False):
+            first, (i, j, _) = exchanged(values, _matrix(len(values), places, turned)), places
+            if _inside(first, maps) and differ(first, values):
+                as_declared = (values[i] < values[j]) == (declared[i] < declared[j])
+                found.append((as_declared, float(np.linalg.norm(maps.from_natural(first) - place)), places))
+        for *_, places in sorted(found, key=lambda each: each[:2]):
+            matrix = _matrix(len(values), places, turned)
+            yield matrix
+            for one, _ in zip(_with_others(matrix, places[:2]), left, strict=False):
+                if _possible(values, one, units) and _inside(exchanged(values, one), maps):
+                    yield one
 
 
 def exchanged(values: Array, matrix: Array) -> Array:
@@ -55,33 +52,35 @@ def exchanged(values: Array, matrix: Array) -> Array:
     return out
 
 
-def exponents(learnables: Sequence[Learnable]) -> Array:
-    """The exponents [k, d] of the units of constants; without columns where none has a unit."""
-    tables = [_powers(k.unit or "1") for k in learnables]
-    names = sorted({name for table in tables for name in table})
-    rows = [[float(table.get(name, 0)) for name in names] for table in tables]
-    return np.array(rows).reshape(len(tables), len(names))
+_Places = tuple[int, int, int]
+"""The places of x, y and z in an exchange of a pair; that of z is -1 where z is 1, or does not occur."""
 
 
-def _powers(unit: str) -> dict[str, Fraction]:
-    table: dict[str, Fraction] = {}
-    for sign, name, exponent in _FACTOR.findall(unit):
-        if name.strip() != "1":
-            power = Fraction(exponent or 1) * (-1 if sign == "/" else 1)
-            table[name] = table.get(name, Fraction(0)) + power
-    return table
+def _of_pairs(values: Array, units: Array, turned: bool) -> Iterator[_Places]:
+    """The exchanges of pairs alone of positive constants that keep their units: y and x, or, `turned` over, z/y and
+    z/x."""
+    positive = values > 0
+    for i, j in islice(combinations(np.flatnonzero(positive).tolist(), 2), CONSIDERED):
+        if not turned:
+            if np.allclose(units[i], units[j]):
+                yield i, j, -1
+            continue
+        product = units[i] + units[j]
+        if np.allclose(product, 0.0):
+            yield i, j, -1
+        fits = positive & np.isclose(units, product).all(axis=1)
+        yield from ((i, j, k) for k in np.flatnonzero(fits).tolist() if k not in (i, j))
 
 
-def _of_pair(count: int, pair: tuple[int, int]) -> Iterator[Array]:
-    """The matrices of the exchanges of a pair alone."""
-    i, j = pair
-    for sign, z in ((1, -1), (-1, -1), *((-1, k) for k in range(count) if k not in pair)):
-        matrix = np.eye(count)
-        matrix[i, i] = matrix[j, j] = 0.0
-        matrix[i, j] = matrix[j, i] = sign
-        if z >= 0:
-            matrix[i, z] = matrix[j, z] = 1.0
-        yield matrix
+def _matrix(count: int, places: _Places, turned: bool) -> Array:
+    """The matrix [k, k] of the exchange of a pair alone."""
+    i, j, z = places
+    matrix = np.eye(count)
+    matrix[i, i] = matrix[j, j] = 0.0
+    matrix[i, j] = matrix[j, i] = -1.0 if turned else 1.0
+    if z >= 0:
+        matrix[i, z] = matrix[j, z] = 1.0
+    return matrix
 
 
 def _with_others(matrix: Array, pair: tuple[int, int]) -> Iterator[Array]:

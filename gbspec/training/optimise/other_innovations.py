@@ -10,11 +10,12 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.training.engines import FilterEngine
-from gbspec.training.optimise.exchanges import exchanged, exponents
+from gbspec.training.optimise.exchanges import exchanged
 from gbspec.training.optimise.innovations import InnovationsFit
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.restricted import sizes
 from gbspec.training.optimise.stage import State
+from gbspec.training.optimise.units import exponents
 from gbspec.training.problem import Bijections
 
 

@@ -10,7 +10,9 @@ trial that is under way is kept beside that of the best maximum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -107,16 +109,16 @@ class OtherMaxima:
 
     def possible(self, theta: Array) -> bool:
         """Whether constants may exchange their roles within their bounds."""
-        return bool(self._exchanges({"theta": theta}))
+        return next(self._exchanges({"theta": theta}), None) is not None
 
-    def _exchanges(self, state: State) -> list[Array]:
+    def _exchanges(self, state: State) -> Iterator[Array]:
         of = self.of
-        return exchanges(of.values(state), of.declared, of.maps, of.units)[: GLANCES * self.taken]
+        return exchanges(of.values(state), of.declared, of.maps, of.units)
 
     def begin(self, theta: Array) -> State:
         """The state at the maximum, with the exchanges from which to go on, the best first."""
         of, state, size = self.of, self.of.at(theta), len(self.of.names)
-        matrices, before = self._exchanges(state), of.values(state)
+        matrices, before = list(islice(self._exchanges(state), GLANCES * self.taken)), of.values(state)
         least, first = of.objective(state), of.glance(state)
         rises = np.array([self._glance(state, one) for one in matrices]) - first
         kept: list[Array] = []
@@ -128,11 +130,12 @@ class OtherMaxima:
         more = {name: np.array(value) for name, value in numbers.items()} | {"first": before}
         return state | more | {"exchanges": np.array(kept).reshape(-1, size, size), "values": np.array([least])}
 
+    def beginning(self, state: State) -> State:
+        """The state of the fit at the maximum at which the stage began."""
+        return _under(state, BEFORE) or _kept(state)
+
     def _glance(self, state: State, matrix: Array) -> float:
-        try:
-            return self.of.glance(self.of.moved(state, matrix))
-        except ComputationError:
-            return float("inf")
+        return _or_infinite(lambda: self.of.glance(self.of.moved(state, matrix)))
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration of the trial under way, or of the next one; after the last one the best maximum goes on."""
@@ -140,7 +143,7 @@ class OtherMaxima:
         if scalar(state, "all") >= self.share:
             state["exchanges"] = state["exchanges"][:0]
         if not trial and len(state["exchanges"]):
-            trial = self.of.moved(_kept(state), state["exchanges"][0])
+            trial = self._begun(_kept(state), state["exchanges"][0])
             state |= {"exchanges": state["exchanges"][1:], "used": np.array(0.0)}
         if trial:
             state = self._tried(state, trial)
@@ -149,6 +152,13 @@ class OtherMaxima:
         places = int(scalar(state, "places"))
         said = f"exchange {places - len(state['exchanges'])} of {places} of constants"
         return Outcome(state, self._loss(state), False, remark=said)
+
+    def _begun(self, state: State, matrix: Array) -> State:
+        """The state from which a trial begins; empty where the model cannot be computed there."""
+        try:
+            return self.of.moved(state, matrix)
+        except ComputationError:
+            return {}
 
     def _tried(self, state: State, trial: State) -> State:
         """The state after an iteration of a trial: it goes on, or is a maximum, or has come to nothing."""
@@ -181,7 +191,10 @@ class OtherMaxima:
         if not rise <= ALIKE or not (higher or all(self._separate(maximum, one) for one in known)):
             return state
         # A step that is too long makes maxima up.
-        rise = max(rise, self.of.finer(maximum) - self.of.finer(known[0]))
+        finer = [_or_infinite(partial(self.of.finer, one)) for one in (maximum, known[0])]
+        if not np.isfinite(finer).all():
+            return state
+        rise = max(rise, finer[0] - finer[1])
         values = np.append(state["values"], state["values"][0] + rise)
         kept = np.flatnonzero(values <= values.min() + ALIKE)
         first, *others = ([*known, maximum][i] for i in kept)
@@ -197,7 +210,7 @@ class OtherMaxima:
         if not self._apart(one, other):
             return False
         highest = max(self.of.objective(one), self.of.objective(other))
-        return not self.of.between(one, other) <= highest + no_rise(self.of.count)
+        return not _or_infinite(lambda: self.of.between(one, other)) <= highest + no_rise(self.of.count)
 
     def _ended(self, state: State) -> Outcome:
         """The end: of maxima as high the one that is nearest to the declared values, else the highest."""
@@ -246,6 +259,14 @@ class OtherMaxima:
     def _loss(self, state: State) -> float:
         """The objective as a mean over the values."""
         return float(state["values"][0]) / (2 * self.of.count)
+
+
+def _or_infinite(objective: Callable[[], float]) -> float:
+    """An objective; infinite where the model cannot be computed."""
+    try:
+        return objective()
+    except ComputationError:
+        return float("inf")
 
 
 _NUMBERS = frozenset({"exchanges", "values", "first", "used", "places", "all", "begun"})

@@ -39,7 +39,8 @@ def said_of_end(name: str, error: ComputationError, marginal: bool, maximum: boo
     it; constants that are only where a likelihood could not go on are no estimates, and have no intervals. `begun`:
     whether the stage took a step."""
     where = f" ({error.where})" if error.where else ""
-    kept = "the maximum of the likelihood that was reached before" if marginal and maximum else "what was reached"
+    at_maximum = maximum and (marginal or name == StageName.OTHER_MAXIMA)
+    kept = "the maximum of the likelihood that was reached before" if at_maximum else "what was reached"
     said = f"the stage `{name}` ended early, and {kept} is kept: {error.what}{where}"
     if name in WHOLE and not begun:
         said += f". So {NO_WHOLE}"

@@ -7,7 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
+from gbspec.training.optimise import InnovationsFit, OtherMaxima, Stage
 from gbspec.training.runs.ended_early import LIKELIHOODS, NO_FIT, said_of_unfinished
 from gbspec.training.runs.position import Position
 from gbspec.training.stages import StageName
@@ -24,6 +26,13 @@ def note_end(position: Position, name: str, unfinished: ComputationError | None)
     elif name in LIKELIHOODS - {StageName.JUMPS}:
         position.maximum = True
         position.notes = [note for note in position.notes if NO_FIT not in note]
+
+
+def noise_before(stage: Stage, position: Position) -> Estimated | None:
+    """The noise by which channels were weighed at the maximum at which the present stage began."""
+    if isinstance(stage, OtherMaxima) and isinstance(stage.fit, InnovationsFit) and position.state:
+        return stage.fit.estimated(stage.beginning(position.state))
+    return position.estimated
 
 
 def return_to_maximum(position: Position, score: Callable[[Array, list[str]], float] | None) -> None:

@@ -40,7 +40,7 @@ from gbspec.training.runs.disturbed import certainties, steps_of, summarise
 from gbspec.training.runs.ended_early import NO_FIT, NO_FITS, said_of_end, said_of_no_maximum, without_whole
 from gbspec.training.runs.happening import said_of_events
 from gbspec.training.runs.jumping import without_jumping
-from gbspec.training.runs.maximum import note_end, return_to_maximum
+from gbspec.training.runs.maximum import noise_before, note_end, return_to_maximum
 from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
@@ -195,7 +195,9 @@ class _Runner:
             at_end = unfinished is None
         except ComputationError as error:
             position.notes.append(self._after_failure(planned, error))
-            if position.iteration and position.maximum and self.context.model.marginal:
+            marginal = self.context.model.marginal
+            if position.iteration and position.maximum and (marginal or isinstance(stage, OtherMaxima)):
+                self._weigh(noise_before(stage, position))
                 return_to_maximum(position, self._held_out if self._choosing else None)
                 return True
             if position.iteration == 0:
