@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
+import torch
 
 import gbspec
 from gbspec.diagnostics import Findings
+from gbspec.given import is_real, plain
 from gbspec.studies import CrossOptions, StudyOptions
 from gbspec.training import TrainOptions
 
@@ -72,6 +74,13 @@ def test_what_is_one_number_is_a_value(model: gbspec.Specification, number: Any)
     options = {"max_step": number, "holdout": number, "ridge": number, "tolerance": number}
     TrainOptions(solver="dopri5", **options).check(findings)
     assert not findings.errors
+
+
+def test_tensors_of_one_number_are_numbers() -> None:
+    numbers = [torch.tensor(3.0), torch.tensor(3), torch.tensor(3.0, requires_grad=True)]
+    assert all(is_real(number) and plain(number) == 3 for number in numbers)
+    others = [torch.tensor([3.0]), torch.tensor(3j), np.array(3j), np.array("3"), "3", b"3", sympy.Symbol("x"), None]
+    assert not any(map(is_real, others))
 
 
 @pytest.mark.parametrize("values", ["k=3", 3, np.float64(3), {3: 1.0}, [("k", 3.0)]])
