@@ -25,7 +25,7 @@ from gbspec.data import SimulateOptions
 from gbspec.diagnostics import Diagnostic, Findings
 from gbspec.fitted import Data, FittedRun, simulated, table_of
 from gbspec.frames import Tabled, of_rows
-from gbspec.given import require_path
+from gbspec.given import WRITTEN, require_path
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.keywords import (
@@ -181,6 +181,7 @@ class Specification(Tabled):
         values: Mapping[str, float] | None = None,
     ) -> Export:
         """Writes the model at its truth for other programs; see `FittedRun.export`."""
+        require_path(path, WRITTEN)
         subject = models.reference(self.model, values)
         table = None if data is None else table_of(data, self.model)
         return exporting.exported(

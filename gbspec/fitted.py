@@ -114,6 +114,7 @@ class FittedRun(Tabled):
         Raises `UserError` for what the form cannot express (GB808),
         `ComputationError` if the export differs from the generated module.
         """
+        require_path(path, WRITTEN)
         subject = models.learned(self.run, values, member)
         table = None if data is None else table_of(data, self.run.model)
         return exporting.exported(

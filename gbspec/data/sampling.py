@@ -156,6 +156,11 @@ class SimulateOptions:
             (_boxes(self.condition), "condition", "ranges by name, as in {'Da': (0.2, 0.5)}"),
             (_by_name(self.dose, _text), "dose", "doses by name, as in {'gut': '100@0,12,24'}"),
             (_by_name(self.clock, is_real), "clock", "intervals by name, as in {'x1': 0.5}"),
+            (
+                isinstance(self.reject, Sequence) and not _text(self.reject) and all(map(_text, self.reject)),
+                "reject",
+                "conditions, as in ['x1 > 4']",
+            ),
             (not self.clock or self.channels == "own-clock", "clock", "used with `channels` own-clock"),
             (
                 self.fraction is not None or self.channels in ("all", "own-clock"),
@@ -183,9 +188,10 @@ class SimulateOptions:
 
     @property
     def ranged(self) -> bool:
-        """Whether initial values and conditions are ranges by name, and doses and clocks texts and numbers by name."""
+        """Whether everything that is given by name or as a list is so."""
         boxed = _boxes(self.initial) and _boxes(self.condition)
-        return boxed and _by_name(self.dose, _text) and _by_name(self.clock, is_real)
+        listed = isinstance(self.reject, Sequence)
+        return boxed and listed and _by_name(self.dose, _text) and _by_name(self.clock, is_real)
 
     @property
     def fraction(self) -> float | None:

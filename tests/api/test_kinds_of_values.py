@@ -51,6 +51,8 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> gbspec.Specification:
         ({"values": {"k": 1j}}, "GB804: the value 1j for `k` is not a finite number"),
         ({"dose": 3}, "GB754: `dose` is 3, and must be doses by name"),
         ({"dose": {"x": 3}}, "GB754: `dose` is {'x': 3}, and must be doses by name"),
+        ({"reject": 3}, "GB754: `reject` is 3, and must be conditions"),
+        ({"reject": "x > 4"}, "GB754: `reject` is 'x > 4', and must be conditions"),
         ({"clock": 3}, "GB754: `clock` is 3, and must be intervals by name"),
     ],
 )
@@ -129,5 +131,7 @@ def test_what_is_no_path_to_write_is_named(model: gbspec.Specification) -> None:
         model.train(data, None)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="a file to write is given by its path, not by int"):
         model.compile(3)  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="a file to write is given by its path, not by int"):
+        model.export(3, "c")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="a file to write is given by its path, not by int"):
         model.simulate(3, trajectories=1)  # type: ignore[arg-type]
