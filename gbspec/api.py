@@ -25,6 +25,7 @@ from gbspec.data import SimulateOptions
 from gbspec.diagnostics import Diagnostic, Findings
 from gbspec.fitted import Data, FittedRun, simulated, table_of
 from gbspec.frames import Tabled, of_rows
+from gbspec.given import WRITTEN, require_path
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.keywords import (
@@ -52,6 +53,9 @@ if TYPE_CHECKING:
     from gbspec.operations import Evaluation, Export, ExportForm, Import
     from gbspec.studies import CrossValidation
     from gbspec.training import Progress
+
+
+_DIRECTORY = "what is fitted is written to a directory, which is given by its path"
 
 
 @with_near_names
@@ -138,6 +142,7 @@ class Specification(Tabled):
 
         The progress is shown in a notebook and, with `progress=True`, elsewhere; a `Progress` receives it instead.
         """
+        require_path(directory, _DIRECTORY)
         model = models.specified(self.model, values or {})
         table = table_of(data, model)
         with progress_of(progress) as shown:
@@ -159,6 +164,7 @@ class Specification(Tabled):
         """Errors of predictions of held-out data, fold by fold, in the units of the channels; see `train`."""
         from gbspec.studies import CrossOptions, crossvalidate
 
+        require_path(directory, _DIRECTORY)
         division, table, chosen = CrossOptions(folds, over, window), table_of(data, self.model), TrainOptions(**options)
         with progress_of(progress) as shown:
             return crossvalidate(self.model, table, Path(directory), chosen, division, lambda fold: shown)
@@ -175,6 +181,7 @@ class Specification(Tabled):
         values: Mapping[str, float] | None = None,
     ) -> Export:
         """Writes the model at its truth for other programs; see `FittedRun.export`."""
+        require_path(path, WRITTEN)
         subject = models.reference(self.model, values)
         table = None if data is None else table_of(data, self.model)
         return exporting.exported(

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.given import WRITTEN, require_path
 
 ASIDE = ".gbspec-part"
 """Part of the names of files that are being written."""
@@ -57,7 +58,11 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
 
 
 def writable(path: str | Path) -> Path:
-    """The path, if a file can be written there; raises `UserError` (GB802, GB805) otherwise. Writes nothing."""
+    """The path, if a file can be written there; raises `UserError` (GB802, GB805) otherwise. Writes nothing.
+
+    Raises TypeError for what is no path.
+    """
+    require_path(path, WRITTEN)
     target = Path(path)
     if target.is_dir():
         message = f"`{path}` is a directory; a file name is needed"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, Unpack
 from gbspec.data import SimulateOptions
 from gbspec.diagnostics import Findings
 from gbspec.frames import Tabled, of_rows
+from gbspec.given import WRITTEN, require_path
 from gbspec.ir import Model
 from gbspec.keywords import SimulateKeywords, options_of, with_near_names
 from gbspec.operations import analysing, evaluating, exporting, fitting, models, reporting, tables
@@ -113,6 +114,7 @@ class FittedRun(Tabled):
         Raises `UserError` for what the form cannot express (GB808),
         `ComputationError` if the export differs from the generated module.
         """
+        require_path(path, WRITTEN)
         subject = models.learned(self.run, values, member)
         table = None if data is None else table_of(data, self.run.model)
         return exporting.exported(
@@ -231,6 +233,8 @@ class FittedRun(Tabled):
         cycles: bool = False,
     ) -> Path:
         """Writes the page of `gbspec report` (by default `report.html` in the run) and returns its path."""
+        if path is not None:
+            require_path(path, WRITTEN)
         target = self.run.path / "report.html" if path is None else Path(path)
         reporting.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
         return target

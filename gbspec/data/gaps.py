@@ -15,9 +15,10 @@ from gbspec.ir import Input
 
 LONG = 5
 """Empty cells in a row that are a gap, if they also last for so many usual intervals."""
-RECORDED, FILLED = 0.5, 0.98
-"""An input is recorded in every row where at least the first share of a trajectory's cells is filled, and of those
-outside of its gaps the second: one that is filled where it changes, or at times of its own, has empty cells between."""
+RECORDED, FILLED = 0.5, 0.95
+"""An input is recorded in every row where at least the first share of a trajectory's cells is filled, and the second
+of those that are not empty together with a neighbour: one that is filled where it changes, or at times of its own, has
+empty cells between."""
 FEWEST = 10
 """A trajectory with fewer filled cells shows nothing of how the input is recorded."""
 
@@ -42,7 +43,7 @@ def check_gaps(table: Records, quantity: Quantity, given: Input, cells: Series, 
         return
     longest = max(found, key=lambda gap: float(table.time[gap.last] - table.time[gap.first]))
     start, end = table.time[longest.first], table.time[longest.last]
-    rows = longest.last - longest.first + 1
+    count = longest.last - longest.first + 1
     held = given.interpolation == "held" or longest.trailing
     taken = f"its last value before, {longest.before:g}, is held" if held else "it is interpolated"
     others = len(found) - 1
@@ -50,11 +51,11 @@ def check_gaps(table: Records, quantity: Quantity, given: Input, cells: Series, 
     row = int(table.row[longest.first])
     findings.warning(
         "GB792",
-        f"`{quantity.column}` is empty in {rows:,} rows from row {row} on, from {start:g} to {end:g}, and filled in "
-        f"all others: there {taken}{more}",
+        f"`{quantity.column}` has no value at {count:,} times, from {start:g} to {end:g} (from row {row} on), and has "
+        f"one at most others of this trajectory: in this gap {taken}{more}",
         Cell(table.path, row, quantity.column),
-        help="if it was not recorded there, fill in what it may have been, or let the trajectory end before these rows "
-        "and another one begin after them",
+        help="if it was not recorded there, fill in what it may have been, or let the trajectory end before this gap "
+        "and another one begin after it",
         subject=quantity.name,
     )
 
@@ -78,6 +79,6 @@ def _gaps(table: Records, keys: Index, values: Array) -> list[_Gap]:
         if count >= LONG and time[after - 1] - time[before] >= LONG * usual:
             ends = int(keys[before + 1]), int(keys[after - 1])
             found.append(_Gap(*ends, float(values[before]), after == len(keys)))
-            inside += count
+        inside += count if count > 1 else 0
     outside = len(keys) - int(places[0]) - inside
     return found if len(places) >= FILLED * outside else []

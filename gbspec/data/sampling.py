@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.given import is_real, is_whole
+from gbspec.given import is_real, is_whole, plain, plain_values, shown
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
@@ -133,6 +133,16 @@ class SimulateOptions:
         (), 'Draw trajectories again that enter a region, as "x2 > 4" (repeatable).', metavar="CONDITION"
     )
 
+    def __post_init__(self) -> None:
+        for name in ("span", "dt", "noise"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
+        if _by_name(self.clock, is_real):
+            object.__setattr__(self, "clock", plain_values(self.clock))
+        for name in ("initial", "condition"):
+            given = getattr(self, name)
+            if _boxes(given):
+                object.__setattr__(self, name, {key: (plain(low), plain(high)) for key, (low, high) in given.items()})
+
     def check(self, findings: Findings) -> None:
         """Reports invalid options (GB754)."""
         rules = (
@@ -144,6 +154,13 @@ class SimulateOptions:
             (is_whole(self.seed) and self.seed >= 0, "seed", "a whole number, zero or more"),
             (_boxes(self.initial), "initial", "ranges by name, as in {'x1': (0.2, 0.95)}"),
             (_boxes(self.condition), "condition", "ranges by name, as in {'Da': (0.2, 0.5)}"),
+            (_by_name(self.dose, _text), "dose", "doses by name, as in {'gut': '100@0,12,24'}"),
+            (_by_name(self.clock, is_real), "clock", "intervals by name, as in {'x1': 0.5}"),
+            (
+                isinstance(self.reject, Sequence) and not _text(self.reject) and all(map(_text, self.reject)),
+                "reject",
+                "conditions, as in ['x1 > 4']",
+            ),
             (not self.clock or self.channels == "own-clock", "clock", "used with `channels` own-clock"),
             (
                 self.fraction is not None or self.channels in ("all", "own-clock"),
@@ -154,9 +171,9 @@ class SimulateOptions:
         for holds, name, expected in rules:
             if not holds:
                 value = getattr(self, name)
-                shown = repr(value) if isinstance(value, str) and name not in ("sampling", "channels") else value
-                findings.error("GB754", f"`{name}` is {shown}, and must be {expected}", None, subject=name)
-        for name, text in self.dose.items():
+                said = value if name in ("sampling", "channels") else shown(value)
+                findings.error("GB754", f"`{name}` is {said}, and must be {expected}", None, subject=name)
+        for name, text in self.dose.items() if _by_name(self.dose, _text) else ():
             try:
                 regimen(text)
             except ValueError:
@@ -171,8 +188,10 @@ class SimulateOptions:
 
     @property
     def ranged(self) -> bool:
-        """Whether initial values and conditions are ranges by name."""
-        return _boxes(self.initial) and _boxes(self.condition)
+        """Whether everything that is given by name or as a list is so."""
+        boxed = _boxes(self.initial) and _boxes(self.condition)
+        listed = isinstance(self.reject, Sequence)
+        return boxed and listed and _by_name(self.dose, _text) and _by_name(self.clock, is_real)
 
     @property
     def fraction(self) -> float | None:
@@ -182,6 +201,15 @@ class SimulateOptions:
         except (TypeError, ValueError):
             return None
         return value if 0 < value <= 1 else None
+
+
+def _text(given: object) -> bool:
+    return isinstance(given, str)
+
+
+def _by_name(given: object, holds: Callable[[object], bool]) -> bool:
+    """Whether these are values by name, for each of which `holds` says so."""
+    return isinstance(given, Mapping) and all(map(holds, given.values()))
 
 
 def _boxes(given: object) -> bool:

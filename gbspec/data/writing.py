@@ -12,6 +12,7 @@ from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
 from gbspec.data.trajectories import Trajectories, frame_of
 from gbspec.diagnostics import Cell, Diagnostic, UserError
 from gbspec.files import aside
+from gbspec.given import WRITTEN, require_path
 from gbspec.ir import Model
 
 
@@ -22,6 +23,7 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
     conditions, doses. The suffix of `path` selects CSV, TSV or Parquet. Raises UserError if it cannot
     be written.
     """
+    require_path(path, WRITTEN)
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SEPARATORS and suffix not in PARQUET:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Diagnostic, UserError, packages
-from gbspec.given import is_whole
+from gbspec.given import is_whole, shown
 from gbspec.ir import not_categories
 from gbspec.operations.models import Subject, truth_of
 
@@ -214,7 +214,9 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
     Raises `UserError` (GB814) for a window that is no whole number of at least 1.
     """
     if window is not None and not (is_whole(window) and window >= 1):
-        raise UserError([Diagnostic("GB814", f"the window is {window}, and must be a whole number, at least 1", None)])
+        raise UserError(
+            [Diagnostic("GB814", f"the window is {shown(window)}, and must be a whole number, at least 1", None)]
+        )
     from gbspec.analysis import forecast
     from gbspec.report import write
 

@@ -12,6 +12,7 @@ from gbspec import frontend
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, Findings, UserError, packages
 from gbspec.frames import Tabled, of_rows
+from gbspec.given import plain_values, require_values
 
 if TYPE_CHECKING:
     import polars as pl
@@ -88,8 +89,7 @@ class Evaluation(Tabled):
 
 def of_model(model: Model, data: Trajectories, values: Mapping[str, float] | None = None) -> Evaluation:
     """The objective of a model on data: learnables at their values, else their truths, else their starts."""
-    values = dict(values or {})
-    implied = {k.name: values.pop(k.name) for k in model.implied if k.name in values}
+    values, implied = _apart(model, values)
     made = known(model, values)
     constants = np.tile([k.start for k in made.learnables], (len(data), 1))
     if made.distributed:
@@ -105,8 +105,7 @@ def of_run(
     from gbspec.analysis import learned_positions
     from gbspec.operations.models import set_values
 
-    values = dict(values or {})
-    implied = {k.name: values.pop(k.name) for k in run.model.implied if k.name in values}
+    values, implied = _apart(run.model, values)
     chosen = set_values(run, values)
     number = chosen.best if member is None else member
     instance = chosen.member(number)
@@ -120,11 +119,21 @@ def of_run(
                 constants[j, i] = own[place]
     learned = _learned_starts(chosen, instance, data)
     noise = _noise_of_run(chosen, number)
-    population = {**_population_of_run(chosen, number), **{k: float(v) for k, v in values.items()}, **implied}
+    population = {**_population_of_run(chosen, number), **values, **implied}
     starts = _starts(chosen.model, data, learned)
     found = _evaluated(chosen.model, data, constants, starts, instance.weights, noise, population)
     fitted = not values and all(place is not None for place in positions)
     return replace(found, remark=_of_sizes(chosen.model)) if fitted else found
+
+
+def _apart(model: Model, values: Mapping[str, float] | None) -> tuple[dict[str, float], dict[str, float]]:
+    """Values by name: those that the model can have, and those of noises and correlations that a likelihood adds.
+
+    Raises TypeError for what is no values by name."""
+    require_values({} if values is None else values)
+    given = plain_values(values or {})
+    implied = {k.name: given.pop(k.name) for k in model.implied if k.name in given}
+    return given, implied
 
 
 def _of_sizes(model: Model) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gbspec import frontend
 from gbspec.diagnostics import Defect, Findings, Source, packages
-from gbspec.given import require_path
+from gbspec.given import plain_values, require_path
 from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def set_values(run: Run, values: Mapping[str, float] | None) -> Run:
     if not values:
         return run
     model = frontend.verified(with_values(run.model, values), "with_values")
-    return replace(run, model=model, values={**run.values, **values})
+    return replace(run, model=model, values={**run.values, **plain_values(values)})
 
 
 def specified(model: Model, values: Mapping[str, float]) -> Model:
@@ -89,7 +89,7 @@ def specified(model: Model, values: Mapping[str, float]) -> Model:
         return model
     with_values(model, values)  # raises for unknown names and values that are not finite
     source = _source(model)
-    text = Source(source.path, with_settings(source, values))
+    text = Source(source.path, with_settings(source, plain_values(values)))
     return frontend.load_model(text.path, Findings(), lambda _: text)
 
 
@@ -126,6 +126,7 @@ def reference(model: Model, values: Mapping[str, float] | None = None, method: M
     known = frontend.verified(with_truth(model), "with_truth")
     if values:
         known = frontend.verified(with_values(known, values), "with_values")
+        values = plain_values(values)
     return Subject(
         known, Evaluator(load_module(known, method)()), values=values or {}, individuals=individuals, origin=model
     )

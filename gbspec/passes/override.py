@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.given import is_real
+from gbspec.given import is_real, plain_values, require_values
 from gbspec.ir import Condition, Constant, Input, Learnable, Model, Range, TruthConstant, not_categories
 from gbspec.passes.contracts import with_contracts
 
@@ -26,14 +26,14 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
             numbers of no category; GB6xx if a contract cannot be guaranteed with these values.
         TypeError: if these are no values by name.
     """
-    if not isinstance(values, Mapping):
-        raise TypeError(f"values are numbers by name, as in {{'k': 0.5}}, not {type(values).__name__}")
+    require_values(values)
     names = [*model.constant_names, *(c.name for c in model.conditions), *(i.name for i in model.inputs)]
     problems = [problem for name, value in values.items() if (problem := _problem(name, value, names)) is not None]
     if not problems:
         problems += not_categories(model.conditions, {name: (value,) for name, value in values.items()})
     if problems:
         raise UserError(problems)
+    values = plain_values(values)
     learnable = {k.name for k in model.learnables}
     truths = {t.name: t.value for t in model.truth_constants}
     truths.update({name: value for name, value in values.items() if name in learnable and name in truths})
@@ -61,7 +61,7 @@ def _problem(name: str, value: float, names: list[str]) -> Diagnostic | None:
             "GB804", f"`{name}` cannot be set: it is not a constant, condition or input of the model", None, help=help_
         )
     if not (is_real(value) and math.isfinite(value)):
-        return Diagnostic("GB804", f"the value {value} for `{name}` is not a finite number", None)
+        return Diagnostic("GB804", f"the value {value!r} for `{name}` is not a finite number", None)
     return None
 
 

@@ -20,6 +20,7 @@ from gbspec.data import Trajectories, fingerprint, for_spreadsheets
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import clear, finite, write_text
 from gbspec.frames import Tabled, of_rows
+from gbspec.given import is_whole, shown
 from gbspec.json_values import JsonObject
 from gbspec.runs import OMITTED, JsonError, decode, encode, files, locked, read_object
 from gbspec.studies.folds import Fold, Over, folds, way
@@ -61,8 +62,8 @@ class CrossOptions:
     def check(self) -> None:
         """Raises `UserError` (GB814) if a value is invalid."""
         for name, value, least in (("folds", self.folds, 2), ("window", self.window, 1)):
-            if value is not None and value < least:
-                message = f"`--{name} {value}` must be at least {least}"
+            if value is not None and not (is_whole(value) and value >= least):
+                message = f"`--{name} {shown(value)}` must be a whole number, at least {least}"
                 raise UserError([Diagnostic("GB814", message, None)])
 
 

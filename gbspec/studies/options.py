@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.given import is_real, is_whole, plain, shown
 from gbspec.training import Effort
 
 
@@ -31,6 +32,9 @@ class StudyOptions:
         default=False, metadata={"help": "Fit nothing: write the tables of what has been fitted so far."}
     )
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "noise", plain(self.noise))
+
     def flags(self) -> list[str]:
         """The options on which the results depend, as given on the command line."""
         given: list[tuple[str, object]] = [("--case", case) for case in self.case]
@@ -41,16 +45,24 @@ class StudyOptions:
     def check(self) -> None:
         """Raises `UserError` (GB814) with every invalid value."""
         wrong = [
-            ("members", self.members, self.members is None or self.members >= 1, "at least 1"),
-            ("seed", self.seed, self.seed >= 0, "zero or more"),
-            ("noise", self.noise, self.noise is None or 0 <= self.noise < float("inf"), "zero or more"),
-            ("workers", self.workers, self.workers >= 1, "at least 1"),
-            ("threads", self.threads, self.threads >= 1, "at least 1"),
+            ("members", self.members, self.members is None or _count(self.members), "a whole number, at least 1"),
+            ("seed", self.seed, is_whole(self.seed) and self.seed >= 0, "a whole number, zero or more"),
+            ("noise", self.noise, self.noise is None or _size(self.noise), "a number, zero or more"),
+            ("workers", self.workers, _count(self.workers), "a whole number, at least 1"),
+            ("threads", self.threads, _count(self.threads), "a whole number, at least 1"),
         ]
         found = [
-            Diagnostic("GB814", f"`--{name} {value}` must be {expected}", None)
+            Diagnostic("GB814", f"`--{name} {shown(value)}` must be {expected}", None)
             for name, value, holds, expected in wrong
             if not holds
         ]
         if found:
             raise UserError(found)
+
+
+def _count(value: object) -> bool:
+    return is_whole(value) and value >= 1
+
+
+def _size(value: object) -> bool:
+    return is_real(value) and 0 <= value < float("inf")

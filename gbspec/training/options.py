@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Findings
-from gbspec.given import is_real, is_whole
+from gbspec.given import is_real, is_whole, plain, shown
 from gbspec.ir import AUTO, METHODS, RK4, STIFF, listed, unknown_method
 from gbspec.training.stages import UNNAMED, Effort, StageName
 
@@ -189,6 +189,10 @@ class TrainOptions:
         },
     )
 
+    def __post_init__(self) -> None:
+        for name in ("max_step", "learning_rate", "output_scale", "holdout", "ridge", "tolerance"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
+
     @property
     def blend(self) -> float:
         """Strength of teacher forcing: 1 for `teacher`, 0 for `autoregressive`."""
@@ -198,7 +202,7 @@ class TrainOptions:
     def named_stages(self) -> tuple[str, ...]:
         """The stages given by name; hyphens may replace blanks, and commas may be left out."""
         known = {stage.replace(",", ""): stage for stage in STAGES}
-        parts = re.sub("[-_,]", " ", self.stages or "").lower().split(";")
+        parts = re.sub("[-_,]", " ", str(self.stages or "")).lower().split(";")
         names = [" ".join(part.split()) for part in parts]
         return tuple(known.get(name, name) for name in names if name)
 
@@ -219,17 +223,17 @@ class TrainOptions:
         ):
             value = getattr(self, name)
             if not self._left_out(name) and not (is_whole(value) and value >= low):
-                report(name.replace("_", "-"), value, f"a whole number of at least {low}")
+                report(name.replace("_", "-"), shown(value), f"a whole number of at least {low}")
         for name in ("max_step", "learning_rate", "output_scale"):
             value = getattr(self, name)
             if not self._left_out(name) and not (is_real(value) and 0 < value < float("inf")):
-                report(name.replace("_", "-"), value, "a positive number")
+                report(name.replace("_", "-"), shown(value), "a positive number")
         if self.scheduler is not None and not all(self.scheduler.partition("://")):
             report("scheduler", self.scheduler, "an address such as tcp://host:8786")
         if not (is_real(self.holdout) and 0 <= self.holdout < 1):
-            report("holdout", self.holdout, "at least 0 and below 1")
+            report("holdout", shown(self.holdout), "at least 0 and below 1")
         if self.ridge is not None and not (is_real(self.ridge) and 0 <= self.ridge < float("inf")):
-            report("ridge", self.ridge, "a non-negative number")
+            report("ridge", shown(self.ridge), "a non-negative number")
         for name in self.named_stages or ([self.stages] if self.stages is not None else []):
             if name not in STAGES:
                 report("stages", name, "one of " + ", ".join(f"`{stage}`" for stage in STAGES))
@@ -243,7 +247,7 @@ class TrainOptions:
         if self.tolerance is not None:
             known = METHODS.get(self.solver)
             if not (is_real(self.tolerance) and 0 < self.tolerance < 1):
-                report("tolerance", self.tolerance, "above 0 and below 1")
+                report("tolerance", shown(self.tolerance), "above 0 and below 1")
             elif known is not None and known.b_error is None:
                 reason = f"left out with `--solver {self.solver}`, which has no error estimate"
                 report("tolerance", self.tolerance, reason)

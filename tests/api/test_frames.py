@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import re
 import types
 import typing
 from collections.abc import Callable
@@ -16,7 +15,6 @@ import pytest
 
 import gbspec
 from gbspec.data import SimulateOptions, Trajectories
-from gbspec.diagnostics import Findings
 from gbspec.frames import counted
 from gbspec.keywords import SimulateKeywords, StudyKeywords, TrainKeywords
 from gbspec.report.progress import Lines, Notebook, progress_of
@@ -372,39 +370,3 @@ def test_numbers_have_the_right_plural() -> None:
     assert [counted(n, "row") for n in (0, 1, 1200)] == ["0 rows", "1 row", "1,200 rows"]
     assert [counted(n, "trajectory") for n in (1, 2)] == ["1 trajectory", "2 trajectories"]
     assert counted(2, "point is", "points are") == "2 points are"
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"trajectories": 1.5}, "GB754: `trajectories` is 1.5, and must be a whole number"),
-        ({"trajectories": "3"}, "GB754: `trajectories` is '3', and must be a whole number"),
-        ({"span": "3"}, "GB754: `span` is '3', and must be a number"),
-        ({"noise": None}, "GB754: `noise` is None, and must be a number"),
-        ({"initial": {"x": "a"}}, "GB754: `initial` is {'x': 'a'}, and must be ranges by name"),
-        ({"condition": "T"}, "GB754: `condition` is 'T', and must be ranges by name"),
-        ({"values": {"k": "a"}}, "GB804: the value a for `k` is not a finite number"),
-    ],
-)
-def test_options_of_another_type_are_named(model: gbspec.Specification, options: dict[str, Any], said: str) -> None:
-    with pytest.raises(gbspec.UserError, match=re.escape(said)):
-        model.simulate(**options)
-
-
-def test_numbers_of_numpy_are_options(model: gbspec.Specification) -> None:
-    made = model.simulate(trajectories=np.int64(2), span=np.float32(1.0), dt=0.5, initial={"x": np.array([1, 2])})  # type: ignore[arg-type,dict-item]
-    assert len(made) == 2
-
-
-@pytest.mark.parametrize("options", [{"members": "3"}, {"members": 1.5}, {"members": None}, {"max_step": "a"}])
-def test_options_of_a_fit_of_another_type_are_named(options: dict[str, Any]) -> None:
-    findings = Findings()
-    TrainOptions(**options).check(findings)
-    assert [error.code for error in findings.errors] == ["GB850"]
-
-
-def test_what_is_no_path_is_named() -> None:
-    with pytest.raises(TypeError, match="a model is given by its path, or a bundled one by its name, not by NoneType"):
-        gbspec.load(None)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="a run is given by the path of its directory, not by int"):
-        gbspec.open_run(3)  # type: ignore[arg-type]

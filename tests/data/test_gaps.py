@@ -1,4 +1,4 @@
-"""Gaps in inputs that are recorded in every other row, and what are none."""
+"""Gaps in inputs that are otherwise recorded, and what are none."""
 
 from __future__ import annotations
 
@@ -43,21 +43,37 @@ def with_gap(first: int, count: int) -> list[str]:
 @pytest.mark.parametrize(
     ("kind", "first", "taken"),
     [
-        ("held", 12, "there its last value before, 24, is held"),
-        ("linear", 12, "there it is interpolated"),
-        ("linear", 20, "there its last value before, 25, is held"),  # nothing comes after it
+        ("held", 12, "in this gap its last value before, 24, is held"),
+        ("linear", 12, "in this gap it is interpolated"),
+        ("linear", 20, "in this gap its last value before, 25, is held"),  # nothing comes after it
     ],
 )
 def test_a_gap_and_what_is_taken_in_it_are_named(tmp_path: Path, kind: str, first: int, taken: str) -> None:
     (found,) = said(tmp_path, with_gap(first, 10), kind)
     assert found.code == "GB792" and taken in found.message
-    assert f"is empty in 10 rows from row {first + 2} on, from {first} to {first + 9}" in found.message
+    assert f"has no value at 10 times, from {first} to {first + 9} (from row {first + 2} on)" in found.message
 
 
 def test_the_longest_of_several_is_named(tmp_path: Path) -> None:
     cells = [a and b for a, b in zip(with_gap(3, 5), with_gap(15, 7), strict=True)]
     (found,) = said(tmp_path, cells)
-    assert "7 rows" in found.message and found.message.endswith("(there is one more gap)")
+    assert "7 times" in found.message and found.message.endswith("(there is one more gap)")
+
+
+def test_short_gaps_and_single_empty_cells_beside_a_gap(tmp_path: Path) -> None:
+    empty = {5, 44, *range(12, 22), *range(30, 34)}
+    (found,) = said(tmp_path, ["" if i in empty else str(20 + i % 7) for i in range(60)])
+    assert "no value at 10 times" in found.message and "all others" not in found.message
+
+
+def test_in_the_long_layout_there_are_no_empty_rows(tmp_path: Path) -> None:
+    (tmp_path / "m.gb").write_text(MODEL.format(kind="held"))
+    rows = [f"{t},T,{20 + 0.1 * t:.1f}" for t in range(30)] + [f"{t},Ta,20" for t in range(30) if not 12 <= t < 22]
+    (tmp_path / "d.csv").write_text("t,name,value\n" + "\n".join(rows) + "\n")
+    findings = Findings()
+    read(tmp_path / "d.csv", load_model(tmp_path / "m.gb", Findings()), findings)
+    (found,) = findings
+    assert "`Ta` has no value at 10 times, from 12 to 21" in found.message and "empty" not in found.message
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.operations import fitting, tables
 from gbspec.runs import NORMAL_90, Run, open_run
 from gbspec.training import TrainOptions, train
+from gbspec.training.profile.possible import check
 from tests.training.test_populations import LEVEL, model_of
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -51,6 +52,15 @@ def independent(deviance: Callable[[float], float], best: float, low: float, hig
         float(brentq(lambda value: deviance(value) - THRESHOLD, low, best)),
         float(brentq(lambda value: deviance(value) - THRESHOLD, best, high)),
     )
+
+
+def test_what_has_a_profile_is_listed_once(tmp_path: Path) -> None:
+    text = LEVEL.replace("~ normal(s)", "~ normal(s) per strain ~ normal(w)\nlearn w = 0.8 > 0")
+    with pytest.raises(UserError) as caught:
+        check(model_of(text, tmp_path), "x")
+    (found,) = caught.value.diagnostics
+    assert found.help is not None and found.help.startswith("constants and spreads with a profile are ")
+    assert all(found.help.count(f"`{name}`") == 1 for name in ("m", "s", "w"))
 
 
 def test_of_a_learned_noise_it_is_that_of_the_logarithm_of_the_sum_of_squares(tmp_path: Path) -> None:

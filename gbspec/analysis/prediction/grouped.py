@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from gbspec.analysis.systems import Individuals
-from gbspec.frames import counted
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction.solutions import Start
@@ -26,6 +25,10 @@ class Solved(Protocol):
         """What it begins with."""
 
 
+def _listed(labels: Sequence[str]) -> str:
+    return ", ".join(labels[:SHOWN]) + (", …" if len(labels) > SHOWN else "")
+
+
 def said_of_groups(
     member: GeneratedModule, model: Model, items: Sequence[Trajectory], predicted: Sequence[Solved]
 ) -> list[str]:
@@ -36,7 +39,8 @@ def said_of_groups(
         return []
     names, out = [condition.name for condition in model.conditions], []
     new = [item for item, one in zip(items, predicted, strict=True) if one.start.origin == "estimated"]
-    kept = bool(individuals.learned)
+    population = member.info.get("population")
+    kept = isinstance(population, Mapping) and "learned" in population
     for column in dict.fromkeys(one.column for one in individuals.shared):
         what = ", ".join(f"`{individuals.learnables[one.place].name}`" for one in individuals.shared
                          if one.column == column)  # fmt: skip
@@ -52,11 +56,10 @@ def said_of_groups(
                 "version made: new trajectories of a known value were estimated from their own rows alone. Fit again"
             )
         elif apart:
-            listed = "; ".join(", ".join(labels[:SHOWN]) for labels in apart[:SHOWN])
-            number = counted(len(apart), "value")
+            listed = "; ".join(_listed(labels) for labels in apart[:SHOWN]) + ("; …" if len(apart) > SHOWN else "")
+            same = "the same value of" if len(apart) == 1 else "several values in common of"
             out.append(
-                f"of {number} of `{column}` that the training data do not have, there are several trajectories "
-                f"({listed}{'; …' if len(apart) > SHOWN else ''}): what they share ({what}) was estimated for each of "
-                "them apart, from its own rows, and differs between them"
+                f"several trajectories ({listed}) have {same} `{column}` of which the fit has learned nothing: what "
+                f"they share ({what}) was estimated for each of them apart, from its own rows, and differs between them"
             )
     return out

@@ -10,11 +10,14 @@ from gbspec.runs import Run
 def check(model: Model, name: str) -> None:
     """Raises UserError (GB858) for what is neither a learned constant that trajectories share, nor one whose
     distribution has a learned median, nor the spread of a distribution."""
-    known = [*parameter_names(model), *_spreads(model)]
+    known = dict.fromkeys([*parameter_names(model), *_spreads(model)])
     if name not in known:
         listed = ", ".join(f"`{one}`" for one in known)
-        help = f"the shared learned constants are {listed}" if known else "the model has no shared learned constant"
-        message = f"`{name}` is not a learned constant that all trajectories share"
+        help = f"constants and spreads with a profile are {listed}" if known else "the model has none that has"
+        message = (
+            f"`{name}` has no profile: it is neither a learned constant with one value or one median for all "
+            "trajectories, nor a learned spread"
+        )
         raise UserError([Diagnostic("GB858", message, None, help=help, subject=name)])
 
 
