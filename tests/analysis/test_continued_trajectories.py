@@ -142,7 +142,7 @@ def test_a_trajectory_without_measurements_starts_from_the_average(run: Run) -> 
     (item,) = ahead.items
     mean = float(np.mean(np.asarray(run.member(0).weights["initial"])))
     assert item.start.origin == "average" and item.estimated and item.mean[0, 0] == pytest.approx(mean, rel=0.1)
-    assert "nothing was measured in the first rows: what is unknown is that of the training (its mean" in str(ahead)
+    assert "nothing was measured in the first rows: what is unknown is the mean of the training" in str(ahead)
     (seen,) = forecast(run, Trajectories((new,), ("x",))).items
     assert seen.start.origin == "estimated" and item.sd[0, 0] > seen.sd[0, 0]
 

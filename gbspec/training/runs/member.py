@@ -17,7 +17,7 @@ from gbspec.data import Estimated, Trajectories, beginnings, fingerprint
 from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
-from gbspec.runs import COVARIANCE, Certainties, StageRecord, Summary, files, sealed
+from gbspec.runs import COVARIANCE, StageRecord, Summary, files, sealed
 from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, OtherMaxima, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
@@ -39,19 +39,16 @@ from gbspec.training.runs.deviations import deviations_of_kept, said_of_left, ta
 from gbspec.training.runs.disturbed import certainties, steps_of, summarise
 from gbspec.training.runs.ended_early import NO_FIT, NO_FITS, said_of_end, said_of_no_maximum, without_whole
 from gbspec.training.runs.happening import said_of_events
-from gbspec.training.runs.jumping import without_jumping
 from gbspec.training.runs.maximum import noise_before, note_end, return_to_maximum
-from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.pace import seconds_left
 from gbspec.training.runs.past import said_of_past
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import Position, checkpoint, write_position
 from gbspec.training.runs.signals import uninterrupted
-from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.tied import HELPS, without_loosened, without_tied
-from gbspec.training.runs.unmoved import without_unmoved
+from gbspec.training.runs.tied import HELPS, without_loosened
+from gbspec.training.runs.uncertain import take_uncertain
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import MAYBE, StageName
 
@@ -361,25 +358,7 @@ class _Runner:
             found.tables.write(self.directory)
             more, shared = {"population": found.info}, found.covariance
             result.left += said_of_no_maximum(position.notes, position.maximum, position.held)
-        weights = self.parameters.natural(position.best) | {"initial": result.initial}
-        if position.finished and self.context.options.initial == "recognition":
-            blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
-            weights |= recognition(self.context, self.parameters, position.best, blend)
-        info = {
-            **steps_of(self.context, self.parameters, position.best, names),
-            "solver": self.context.method.name,
-            "seed": self.context.seed,
-            "labels": result.labels,
-            # Learned initial states are looked up by the content of a trajectory, in any table.
-            "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
-            "beginnings": beginnings(self.context.trajectories.items),
-            **more,
-        }
-        path = self.directory / files.WEIGHTS
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with aside(path) as temporary:
-            instance = type(self.context.module)(weights, sealed(info, weights, self._summary(result)))
-            instance.save(temporary)
+        instance = self._write_weights(result, names, more)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         factor = widening(result.channels)
         if position.finished:
@@ -405,22 +384,35 @@ class _Runner:
             result.sd |= deviations_of_kept(engine, position.best, other, known.covariance)
             result.notes += said_of_left(engine, position.best, other) if other is not None else []
         if position.finished:
-            self._take_uncertain(result, names, known)
+            of_fit = self.context, self.parameters, position.best, names
+            take_uncertain(result, *of_fit, known).write(self.directory)
         result.finished = position.finished
         return result
 
-    def _take_uncertain(self, result: MemberResult, names: list[str], known: Certainties) -> None:
-        """Takes their standard deviations from constants for which the curvature is no measure, with what is to be said
-        of these, and writes what is `known` again without theirs. `names` are those of the stages that led to the
-        result."""
-        if not self.context.model.marginal:
-            for without in (without_tied, without_misjudged, without_disturbances, without_jumping):
-                result.tied += without(result, self.context, self.parameters, self.position.best, names)
-        covariance = known.covariance
-        at_most = {} if covariance is None else {k: v for k, v in result.at_most.items() if k in covariance.constants}
-        if covariance is not None and at_most:
-            replace(known, covariance=covariance.at_most(at_most)).write(self.directory)
-        result.tied += without_unmoved(result, self.context, names)
+    def _write_weights(self, result: MemberResult, names: list[str], more: dict[str, object]) -> GeneratedModule:
+        """Writes the weights file, with what it says of the fit; returns the module with these weights. `names` are
+        those of the stages that led to the result."""
+        position = self.position
+        weights = self.parameters.natural(position.best) | {"initial": result.initial}
+        if position.finished and self.context.options.initial == "recognition":
+            blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
+            weights |= recognition(self.context, self.parameters, position.best, blend)
+        info = {
+            **steps_of(self.context, self.parameters, position.best, names),
+            "solver": self.context.method.name,
+            "seed": self.context.seed,
+            "labels": result.labels,
+            # Learned initial states are looked up by the content of a trajectory, in any table.
+            "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
+            "beginnings": beginnings(self.context.trajectories.items),
+            **more,
+        }
+        path = self.directory / files.WEIGHTS
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with aside(path) as temporary:
+            instance = type(self.context.module)(weights, sealed(info, weights, self._summary(result)))
+            instance.save(temporary)
+        return instance
 
     def _unsteady(self, instance: GeneratedModule) -> list[str]:
         """What is to be said of trajectories that do not begin in the steady state that the table asks for."""
