@@ -33,7 +33,7 @@ ORIGINS: dict[Origin, str] = {
     "continued": "the first rows are of the training data: later ones are predicted from what was learned there",
     "known": "the initial state is given by the first row and the model",
     "estimated": "what is unknown was estimated from the first rows, with all shared parameters held fixed",
-    "average": "nothing was measured in the first rows: what is unknown is the mean of the training, or that of a group",
+    "average": "nothing was measured in the first rows: what is unknown is the mean of the training, or of a group",
     "smoothed": "shown by all measurements; `--window N` predicts the rows after the first N from these",
     "failed": "no initial state was found from which it can be solved",
 }
