@@ -32,7 +32,8 @@ def run(*warnings: str, held: float | None = 0.99, interval: tuple[float, float]
     fit = FitRecord("0", "m", DataRecord("", "", 3, 9, 9), {}, {}, constants, {}, members, warnings)
     nothing = SimpleNamespace(truth_constants=(), unknowns=(), states=(), conditions=(), inputs=(), constants=(),
                               learnables=(), channels=(), time=SimpleNamespace(name="t", unit=None))  # fmt: skip
-    return SimpleNamespace(fit=fit, model=nothing, numbers=(0,), path=Path("run"), profiled=lambda name: None)
+    given = {"fit": fit, "model": nothing, "numbers": (0,), "path": Path("run"), "innovations": None}
+    return SimpleNamespace(**given, profiled=lambda name: None)
 
 
 def found(r2: float = 0.99) -> Validation:
