@@ -46,6 +46,14 @@ def function(*, half: float, far: bool = False) -> LearnedFunction:
     return LearnedFunction("f", ("x",), X[:, None], X[None], None, (piece,))
 
 
+@pytest.mark.parametrize(("maximum", "relied"), [(False, False), (None, True)])
+def test_a_likelihood_that_is_at_no_maximum_is_not_relied_on(maximum: bool | None, relied: bool) -> None:
+    given = run()
+    given.innovations = SimpleNamespace(maximum=maximum)
+    said = verdict(given, found(), (), with_data=True)
+    assert ("Do not rely on this fit: its likelihood is not at its maximum." not in said.headline) is relied
+
+
 def test_a_good_fit_is_called_good() -> None:
     said = verdict(run(), found(), (function(half=0.02),), with_data=True)
     assert said.headline == "It follows the data."
