@@ -22,14 +22,10 @@ LEAST_SPREAD = 1e-3
 def exchangeable(layout: Layout) -> dict[str, int]:
     """The places among the parameters u of the constants that all trajectories share, and of the medians of those with
     a distribution, by the names of the constants; spreads, correlations and sizes of noises play no such role."""
-    noises, model = _noises(layout.model), layout.model
+    model = layout.model
     spreads = {name for k in model.distributed if k.distribution for name, _ in k.distribution.spreads}
-    found = {}
-    for k in model.learnables:
-        name = k.name if k.distribution is None else k.distribution.median
-        if name in layout.names and name not in spreads | noises:
-            found[k.name] = layout.names[name]
-    return found
+    others = spreads | _noises(model)
+    return {name: place for name, place in layout.typical.items() if layout.each[place].name not in others}
 
 
 def _noises(model: Model) -> set[str]:

@@ -46,11 +46,8 @@ def _slopes(objective: Objective, point: Point) -> tuple[list[str], Array]:
     """The constants that all trajectories share, medians by the name of what they are the median of, and the
     derivatives [units, size, k] of the modes by them."""
     layout = objective.layout
-    medians = {k.name: k.distribution.median for k in layout.distributed if k.distribution is not None}
-    each = {k.name: layout.names.get(medians.get(k.name, k.name)) for k in layout.model.learnables}
-    places = {name: place for name, place in each.items() if place is not None}
-    at = list(places.values())
+    at = list(layout.typical.values())
     by_natural = layout.bijections.derivative(point.u)[at]
     found = objective.marginal.mode_slopes(point.u, point.weights, point.z)[..., at]
     slopes = np.divide(found, by_natural, out=np.zeros_like(found), where=by_natural > 0)  # 0: at a bound
-    return list(places), np.where(np.isfinite(slopes), slopes, 0.0)
+    return list(layout.typical), np.where(np.isfinite(slopes), slopes, 0.0)

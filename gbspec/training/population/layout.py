@@ -43,6 +43,13 @@ class Layout:
         return {learnable.name: i for i, learnable in enumerate(self.each)}
 
     @cached_property
+    def typical(self) -> dict[str, int]:
+        """The place in u of each constant that all trajectories share, and of the learned median of each distributed
+        one, by the constant's name."""
+        each = ((k.name, k.name if k.distribution is None else k.distribution.median) for k in self.model.learnables)
+        return {name: self.names[parameter] for name, parameter in each if parameter in self.names}
+
+    @cached_property
     def bijections(self) -> Bijections:
         """Their bounds."""
         return Bijections.of(self.each)

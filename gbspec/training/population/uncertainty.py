@@ -51,10 +51,8 @@ def of_shared(layout: Layout, u: Array, covariance: Array, ridge: float) -> Cova
     of_weights = covariance[:count, :count]
     if not np.isfinite(of_weights).all():
         return None
-    medians = {k.name: k.distribution.median for k in layout.distributed if k.distribution is not None}
-    each = {k.name: layout.names.get(medians.get(k.name, k.name)) for k in layout.model.learnables}
     variances = np.diag(covariance)[count:]
-    places = {name: place for name, place in each.items() if place is not None and np.isfinite(variances[place])}
+    places = {name: place for name, place in layout.typical.items() if np.isfinite(variances[place])}
     at = [count + place for place in places.values()]
     slopes = layout.bijections.derivative(u)[list(places.values())]
     across = slopes[:, None] * covariance[at, :count]

@@ -21,7 +21,6 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.population import Counted, Point, modes_of, with_held
 from gbspec.training.problem import Bijection
 from gbspec.training.profile.assembled import WIDEST, Basis, Fitted, Report, profile_from
-from gbspec.training.profile.possible import parameter_names
 from gbspec.training.profile.result import Profile
 from gbspec.training.recipe import marginal_objective
 from gbspec.training.runs import agreed, restored_fit
@@ -60,9 +59,8 @@ class _OfLikelihood:
         self.layout, self.weights = layout, parameters.n_weights
         z = modes_of(parameters, self.objective.marginal.likelihood, theta)
         self.point = self.objective.at(theta[: self.weights], theta[layout.slice()], z, self.ridge, afresh=True)
-        self._names = {k: layout.names[parameter] for k, parameter in parameter_names(run.model).items()}
         self.name = name
-        self.place = self._names[name] if name in self._names else layout.names[name]  # a spread
+        self.place = layout.typical[name] if name in layout.typical else layout.names[name]  # a spread
         column = self.weights + self.place
         self.basis = Basis(name, column, run.fit.quantile**2, Bijection.of(layout.each[self.place]))
         begun = self._begun()
@@ -113,7 +111,7 @@ class _OfLikelihood:
     def others(self, one: Fitted) -> dict[str, float]:
         """The other constants of a fit, of distributed ones the medians."""
         natural = self._natural(one.theta[self.weights :])
-        return {name: float(natural[place]) for name, place in self._names.items() if name != self.name}
+        return {name: float(natural[place]) for name, place in self.layout.typical.items() if name != self.name}
 
     def said_of_estimate(self, estimate: float) -> list[str]:
         """Nothing: the criterion is that of the fit, and a lower one is said where it is found."""

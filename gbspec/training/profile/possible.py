@@ -5,12 +5,13 @@ from __future__ import annotations
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
 from gbspec.runs import Run
+from gbspec.training.runs import of_all
 
 
 def check(model: Model, name: str) -> None:
     """Raises UserError (GB858) for what is neither a learned constant that trajectories share, nor one whose
     distribution has a learned median, nor the spread of a distribution."""
-    known = dict.fromkeys([*parameter_names(model), *_spreads(model)])
+    known = dict.fromkeys([*(k.name for k in model.learnables if of_all(k)), *_spreads(model)])
     if name not in known:
         listed = ", ".join(f"`{one}`" for one in known)
         help = f"constants and spreads with a profile are {listed}" if known else "the model has none that has"
@@ -19,14 +20,6 @@ def check(model: Model, name: str) -> None:
             "trajectories, nor a learned spread"
         )
         raise UserError([Diagnostic("GB858", message, None, help=help, subject=name)])
-
-
-def parameter_names(model: Model) -> dict[str, str]:
-    """The names of the parameters of the constants that have a profile: their own, or those of their medians."""
-    found = {k.name: k.name for k in model.learnables if k.distribution is None and not k.per_trajectory}
-    return found | {
-        k.name: k.distribution.median for k in model.distributed if k.distribution and k.distribution.median
-    }
 
 
 def of_fit(run: Run, name: str) -> tuple[float, tuple[float, float] | None]:

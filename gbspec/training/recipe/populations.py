@@ -115,11 +115,8 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Reached]
 def jumping(parameters: Parameters) -> list[int]:
     """The places among the parameters u of the constants by which the likelihood has no derivative; of distributed ones
     those of their medians."""
-    layout, found = Layout(parameters), set(only_in_jumps(parameters.model))
-    names = [
-        k.name if k.distribution is None else k.distribution.median for k in layout.model.learnables if k.name in found
-    ]
-    return [layout.names[name] for name in names if name in layout.names]
+    found = set(only_in_jumps(parameters.model))
+    return [place for name, place in Layout(parameters).typical.items() if name in found]
 
 
 class _Likelihoods:

@@ -118,14 +118,10 @@ def without_misjudged(
 
 def misjudged_of_population(result: MemberResult, objective: Objective, found: PopulationResult) -> list[str]:
     """The same of a marginal likelihood: of medians of distributions, and of constants of all trajectories."""
-    model, known, places = objective.layout.model, found.estimates, {}
+    model, known = objective.layout.model, found.estimates
     solved = objective.marginal.predictions.problem.model
     jumping = only_in_jumps(solved)  # of these there is more to say (`unmoved`)
-    for learnable in model.learnables:
-        name = learnable.name if learnable.distribution is None else learnable.distribution.median
-        if name and name in known.names and learnable.name not in jumping:
-            places[learnable.name] = known.at(name)
-
+    places = {name: place for name, place in objective.layout.typical.items() if name not in jumping}
     threshold = half_width([result]) ** 2
     counted, lower = Counted(objective, EVALUATIONS), dict[str, tuple[float, float]]()
 

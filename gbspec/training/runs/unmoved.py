@@ -26,7 +26,7 @@ def unmoved(model: Model, constants: Mapping[str, float], sd: Mapping[str, float
     return [
         k.name
         for k in model.learnables
-        if _of_all(k)
+        if of_all(k)
         and k.name in constants
         and k.name not in sought
         and math.isclose(constants[k.name], k.start, rel_tol=EXACTLY, abs_tol=1e-300)
@@ -34,7 +34,7 @@ def unmoved(model: Model, constants: Mapping[str, float], sd: Mapping[str, float
     ]
 
 
-def _of_all(learnable: Learnable) -> bool:
+def of_all(learnable: Learnable) -> bool:
     """Whether it is a constant of all trajectories, or one with a median of them all; an effect has none."""
     made = learnable.distribution
     return bool(made.median) if made is not None else not learnable.per_trajectory
@@ -99,7 +99,7 @@ def without_unmoved(result: MemberResult, context: Context, stages: Sequence[str
 
 def _without_interval(result: MemberResult, learnable: Learnable) -> bool:
     """Whether a constant of all trajectories has no standard deviation; single trajectories have their own ones."""
-    return _of_all(learnable) and not math.isfinite(result.sd.get(learnable.name, math.nan))
+    return of_all(learnable) and not math.isfinite(result.sd.get(learnable.name, math.nan))
 
 
 def _tried(stages: Sequence[str]) -> bool:
