@@ -356,8 +356,7 @@ class InnovationsFit:
 
     # ---------------------------------------------------------------- the objective
     def _priors(self) -> Priors:
-        parameters, problem = self.engine.parameters, self.engine.problem
-        return replace(Priors.of(problem, parameters, np.zeros(1)), noise=1.0)
+        return Priors.of_likelihood(self.engine.problem, self.engine.parameters)
 
     def _value(self, vector: Array, ridge: float, found: Filtered) -> float:
         theta, _ = self.engine.layout.split(vector)

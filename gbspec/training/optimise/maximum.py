@@ -6,7 +6,7 @@ more constants were estimated, so that -2 log likelihood at them is above its mi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def restricted_value(engine: FilterEngine, point: Likeliest, others: Integers) -
 
 
 def _priors(engine: FilterEngine) -> Priors:
-    return replace(Priors.of(engine.problem, engine.parameters, np.zeros(1)), noise=1.0)
+    return Priors.of_likelihood(engine.problem, engine.parameters)
 
 
 def _with_priors(engine: FilterEngine, priors: Priors, now: Likeliest) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -72,5 +71,5 @@ class OtherInnovations:
         return np.concatenate([state["theta"], state["log_sd"]])
 
     def _at(self, engine: FilterEngine, vector: Array) -> float:
-        priors = replace(Priors.of(engine.problem, engine.parameters, np.zeros(1)), noise=1.0)
+        priors = Priors.of_likelihood(engine.problem, engine.parameters)
         return 2 * (engine.value(vector) + priors.penalty(engine.layout.split(vector)[0]))

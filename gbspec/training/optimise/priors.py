@@ -62,6 +62,11 @@ class Priors:
     owner: Integers
 
     @staticmethod
+    def of_likelihood(problem: Problem, parameters: Parameters) -> Priors:
+        """The same beside a negative log likelihood, which contains the noise."""
+        return replace(Priors.of(problem, parameters, np.zeros(1)), noise=1.0)
+
+    @staticmethod
     def of(problem: Problem, parameters: Parameters, residuals: Array) -> Priors:
         """The priors of learnables and initial values; the noise is estimated from `residuals` if not stated."""
         count, local = parameters.trajectories, parameters.n_local

@@ -112,11 +112,9 @@ class _Profiler:
         self.kept = Kept.of(run, member, name, trajectories)
         self.notes: list[str] = []
         self.variance, self.deviation, self.narrowed = 1.0, 0.0, 0.0
-        self.map = Bijection.of(run.model.learnables[self.parameters.shared[self.place]])
-        self.basis = Basis(name, self.column, self.threshold, self.map)
 
     def estimate(self) -> Fitted:
-        """The fit with all parameters free; sets the noise, the prior, and the linear path of the later fits."""
+        """The fit with all parameters free; sets the noise, the prior, the linear path and the basis of later fits."""
         theta, parameters = self.begin, self.parameters
         engine = self.free.engine(parameters, 0.0)
         residuals = residual_vector(engine, theta)
@@ -137,8 +135,8 @@ class _Profiler:
         if self.target.ridge > first.ridge:
             self._compare(first, rest.theta)
         noise = math.sqrt(self.variance)
-        given = self.name, self.column, self.threshold, self.map
-        self.basis = Basis(*given, self.deviation, self.variance / 2, noise)
+        bounds = Bijection.of(self.model.learnables[self.parameters.shared[self.place]])
+        self.basis = Basis(self.name, self.column, self.threshold, bounds, self.deviation, self.variance / 2, noise)
         return self._fitted(Refit(rest))
 
     def _freedom(self, problem: Problem, equations: NormalEquations, residuals: Array) -> float:
