@@ -138,8 +138,8 @@ def _disturbed(run: Run, fold: Fold, window: int | None) -> list[Point]:
 def _of_new(
     run: Run, fold: Fold, used: FilteredRun, all_seen: FilteredRun
 ) -> tuple[list[RowMoments], list[RowMoments]]:
-    """What the filter says of trajectories that are not in the fit, from their first rows and one row ahead. What is
-    open of the constants is what the fit has left so: the few rows of a window would leave it far more."""
+    """What the filter says of trajectories that are not in the fit, from their first rows and one row ahead. The
+    uncertainty of the constants is that of the fit: the few rows of a window would give a far larger one."""
     from gbspec.training import filter_run
 
     covariance = run.certainties(run.best).covariance

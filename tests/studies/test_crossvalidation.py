@@ -196,7 +196,7 @@ def test_disturbed_models_are_also_judged_one_row_ahead(tmp_path: Path) -> None:
 
 
 def test_disturbed_trajectories_left_out_are_predicted_from_their_first_rows(tmp_path: Path) -> None:
-    """As `predict` does with that window, with what the other trajectories leave open of the constants."""
+    """As `predict` does with that window, with the uncertainty of the constants of the fit to the others."""
     rng, rows, count = np.random.default_rng(7), [], 12
     decay, spread = math.exp(-0.5), 0.6 * math.sqrt((1 - math.exp(-1.0)) / 2)
     for k in range(3):
@@ -231,7 +231,7 @@ def test_disturbed_trajectories_left_out_are_predicted_from_their_first_rows(tmp
             own = math.sqrt(variance + 0.01)
             assert abs(last.predicted - mean) < 0.02 and own * 0.99 < last.sd < 1.15 * own
             assert all(0.0 < point.ahead_sd < 1.15 * own for point in points)
-    # Where the covariance is not kept, draws of what the fit leaves open stand for it.
+    # Where the covariance is not kept, draws of what the fit does not determine stand for it.
     opened = open_run(tmp_path / "out5" / "folds" / "2")
     whole = table_of(path, opened.model)
     used, training = filter_run(opened, whole.subset([2]), 0, first), filter_run(opened, whole.subset([0, 1]), 0)

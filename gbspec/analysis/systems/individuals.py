@@ -100,7 +100,7 @@ class Individuals:
 
     def of_groups(self, values: Mapping[str, float]) -> Individuals:
         """The distribution for a further trajectory with these values of conditions: the deviations of groups that were
-        in the training data are those that were learned there, with what is left open of them."""
+        in the training data are those that were learned there, with their uncertainty."""
         known = {
             column: self.learned[column, values[column]]
             for column in dict.fromkeys(one.column for one in self.shared)

@@ -134,7 +134,7 @@ class FilteredRun:
 
     def _of_training(self, path: _Path, training: Covariance | FilteredRun | None) -> _Variances | None:
         """The same by differences along the columns of a square root of a covariance of shared constants, or along
-        draws of all shared parameters; with what is open of constants of new trajectories."""
+        draws of all shared parameters; with the uncertainty of constants of new trajectories."""
         if not self.finite:
             return None
         changes = self._drawn(training) if isinstance(training, FilteredRun) else self._displaced(training)

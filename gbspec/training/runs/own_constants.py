@@ -123,7 +123,7 @@ def estimated_own(
     engine: FilterEngine, vector: Array, seen: Mask, new: Sequence[int], weights: Weights
 ) -> tuple[Array, Own | None]:
     """The vector with what the trajectories `new` have of their own as the rows `seen` [R, C] and the training say, and
-    what these leave open; `weights` are the run's. The vector as it is where the model has nothing of the kind, or the
+    their uncertainty; `weights` are the run's. The vector as it is where the model has nothing of the kind, or the
     filter is not finite there."""
     fit = _Fit(engine, seen, new, weights)
     if not len(new) or not fit.places.size:
