@@ -72,6 +72,17 @@ class Covariance:
         of_constants = np.einsum("pi,ij,pj->p", constants, self.conditional, constants)
         return np.asarray(np.sqrt(of_weights + np.maximum(of_constants, 0.0)), dtype=np.float64)
 
+    def towards(self, name: str) -> tuple[Array, Array]:
+        """What the weights [n] and constants [k] are displaced by, on average, where this constant is displaced by its
+        standard deviation; zero where it has none."""
+        place = self.constants.index(name)
+        along = self.coupling[place]
+        inside = self.vectors @ along
+        of_weights = self.spread**2 * (along - ((1.0 - self.shares) * inside) @ self.vectors)
+        constants = self.coupling @ of_weights + self.conditional[:, place]
+        deviation = np.sqrt(constants[place]) if constants[place] > 0 else np.inf
+        return -of_weights / deviation, constants / deviation
+
     def without(self, given: Collection[str]) -> Covariance:
         """The covariance where the values of some constants are given, which have none."""
         kept = np.array([name not in given for name in self.constants], dtype=np.float64)

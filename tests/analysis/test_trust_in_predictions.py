@@ -53,3 +53,31 @@ def test_a_forecast_of_further_rows_tells_of_autocorrelated_residuals(tmp_path: 
     words = "residuals of `x` in the training data are autocorrelated"
     assert any(words in warning for warning in forecast(run, Trajectories((item,), ("x",)), window=40).warnings)
     assert not forecast(run, Trajectories((first,), ("x",))).warnings, "of the training rows the fit has told it"
+
+
+def test_rows_that_an_event_may_pass_have_both_sides_in_their_bands(tmp_path: Path) -> None:
+    """Such rows lie in the interval of the learned time; others have the band of their own side."""
+    model = model_of(
+        "model step\ntime t from 0\nstate x in [0, 20] = 2\nlearn T = 4 in [1, 12]\nx' = -0.15*x\ninitial x = 2\n"
+        "event second at T: x = x + 6\nobserve x noise normal(0.35)\n"
+    )
+
+    def solution(times: np.ndarray) -> np.ndarray:
+        return 2 * np.exp(-0.15 * times) + np.where(times < 5.3, 0.0, 6 * np.exp(-0.15 * (times - 5.3)))
+
+    times = np.arange(0, 21, 3.0)
+    noise = 0.35 * np.random.default_rng(1).standard_normal(len(times))
+    seen = trajectory("1", 0.0, times, (solution(times) + noise)[:, None], [])
+    run = train(model, Trajectories((seen,), ("x",)), TrainOptions(effort="low"), tmp_path / "run")
+    low, high = run.fit.constants["T"].interval or (np.nan, np.nan)
+    between = np.linspace(3, 8, 101)
+    (item,) = forecast(
+        run, Trajectories((trajectory("2", 0.0, between, solution(between)[:, None], []),), ("x",))
+    ).items
+    jump, estimate = 6.0, run.fit.constants["T"].value
+    passed = (between > low) & (between < high)
+    both = (item.high - item.low)[:, 0] > 0.9 * jump
+    assert 5 < np.sum(passed) < 60
+    assert np.array_equal(both, passed)
+    before = passed & (between < estimate)
+    assert np.all(item.low[before, 0] > -0.5), "no further down than a band without the event"

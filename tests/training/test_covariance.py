@@ -135,6 +135,35 @@ def test_a_jump_beside_the_estimate_is_no_derivative(edge: float) -> None:
     assert found == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
 
 
+@pytest.mark.parametrize(("edge", "below", "above"), [(0.3, 0.0, 9.4675), (-0.3, -9.4675, 0.0), (2.0, 0.0, 0.0)])
+def test_a_row_that_an_event_may_pass_has_both_sides(edge: float, below: float, above: float) -> None:
+    """Where the interval of a constant that moves the event, -0.82 to 0.82, contains the time at which it passes."""
+    known = Covariance((), ("a",), 1.0, np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.array([[0.25]]))
+    module = SimpleNamespace(constants=("a",), weights={}, info={}, shapes=dict)
+    displaced = Displaced(module, known, jumping=True, moving={"a": (-0.8225, 0.8225)})  # type: ignore[arg-type]  # what it needs
+    displaced._displaced = lambda weights, constants: (None, constants)  # type: ignore[method-assign,assignment,return-value]
+
+    def solve(_: object, start: Start) -> Array:
+        a = float(start.constants[0])
+        return np.array([[3.0 * a + (7.0 if a > edge else 0.0), 2.0 * a]])
+
+    start = Start(np.zeros(0), np.zeros(1), "known")
+    here = solve(None, start)
+    variance = displaced.variance(start, here, solve)
+    assert variance == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
+    found = displaced.passed(start, here, variance, solve)
+    assert np.concatenate(found) == pytest.approx(np.array([[below, 0.0], [above, 0.0]]), rel=1e-3)
+
+
+def test_what_goes_with_a_constant_that_is_displaced() -> None:
+    """Its column of the covariance, over its standard deviation."""
+    known = six_parameters()
+    sample = mean_squares(known, 16)
+    (name,) = known.constants
+    found = np.concatenate(known.towards(name))
+    assert found == pytest.approx(sample[:, 5] / np.sqrt(sample[5, 5]), rel=1e-10)
+
+
 def test_constants_may_be_known_besides() -> None:
     """As if they had been measured, which adds to their precision; without an error nothing of them is left."""
     root = np.random.default_rng(0).standard_normal((3, 3))

@@ -7,20 +7,23 @@ half of it, over the square of the factor, is the variance of the linearised mod
 exist is shortened once more.
 
 Where an event passes a row between the two, that row's difference is no derivative: that of a pair shortened once more
-counts, or, where the event is at the row, that of the side that it does not pass.
+counts, or, where the event is at the row, that of the side that it does not pass. A row that the event passes within
+the interval of a constant that moves it may be on either side: its band has both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gbspec.analysis.prediction.solutions import Start
 from gbspec.arrays import Array
+from gbspec.runs import NORMAL_90
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
@@ -54,7 +57,8 @@ def unchanged(change: Array) -> Array:
 
 class Displaced:
     """Displaced copies of a member; `covariance` None: what is not known has no variance. `given` are constants that
-    the user has set, which are not displaced. `jumping`: times at which solutions jump may depend on constants."""
+    the user has set, which are not displaced. `jumping`: times at which solutions jump may depend on constants;
+    `moving`: those that the times of events and doses depend on, with the distances of the ends of their intervals."""
 
     def __init__(
         self,
@@ -62,8 +66,10 @@ class Displaced:
         covariance: Covariance | None,
         given: frozenset[str] = frozenset(),
         jumping: bool = False,
+        moving: Mapping[str, Sequence[float]] = MappingProxyType({}),
     ) -> None:
         self.member, self.covariance, self.given, self.jumping = member, covariance, given, jumping
+        self.moving = moving
         self._pairs: dict[tuple[int, float], list[tuple[Evaluator, Array]]] = {}
 
     @property
@@ -106,6 +112,33 @@ class Displaced:
             if slope is not None and np.isfinite(square := refitted(slope) ** 2).all():
                 squares.append(square)
         return np.mean(squares, axis=0) if squares else np.zeros_like(variables)
+
+    def passed(
+        self, start: Start, variables: Array, variance: Array, solve: Solve, refitted: Refit = unchanged
+    ) -> tuple[Array, Array]:
+        """By how much [R, V] solutions are below and above the mean in rows that an event passes where a constant that
+        moves it is at the ends of its interval: where they are further away than a linear model makes them."""
+        below, above = np.zeros_like(variables), np.zeros_like(variables)
+        linear = NORMAL_90 * np.sqrt(variance)
+        for weights, constants in self._ends:
+            evaluator, change = self._displaced(weights, constants)
+            there = refitted(solve(evaluator, replace(start, constants=start.constants + change)) - variables)
+            if np.isfinite(there).all():
+                there = np.where(np.abs(there) > JUMPED * linear, there, 0.0)
+                below, above = np.minimum(below, there), np.maximum(above, there)
+        return below, above
+
+    @cached_property
+    def _ends(self) -> list[tuple[Array, Array]]:
+        """Displacements of the weights and constants to both ends of the intervals of those that move events."""
+        if self.covariance is None:
+            return []
+        ends = []
+        for name in {*self.moving} & {*self.covariance.constants} - self.given:
+            weights, constants = self.covariance.towards(name)
+            if (deviation := float(constants[self.covariance.constants.index(name)])) > 0:
+                ends += [(far / deviation * weights, far / deviation * constants) for far in self.moving[name]]
+        return ends
 
     def _slope(self, number: int, start: Start, variables: Array, solve: Solve) -> Array | None:
         """The derivative [R, V] of the solution along a draw; None where displaced solutions do not exist."""

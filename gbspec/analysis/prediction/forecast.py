@@ -63,6 +63,7 @@ class PredictedTrajectory:
     `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
     are multiplicative, `counted` [V] those that are counts; `quantile` is half their width in standard deviations.
+    `below` and `above` [R, V] are the distances of solutions where a row may be on the other side of an event.
     """
 
     label: str
@@ -78,16 +79,18 @@ class PredictedTrajectory:
     failure: str = ""
     quantile: float = NORMAL_90
     counted: Mask | bool = False
+    below: Array | float = 0.0
+    above: Array | float = 0.0
 
     @property
     def low(self) -> Array:
         """Lower end of the 90 % interval [R, V]."""
-        return interval(self.mean, self.sd, self.in_logarithms, self.quantile, self.counted)[0]
+        return interval(self.mean + self.below, self.sd, self.in_logarithms, self.quantile, self.counted)[0]
 
     @property
     def high(self) -> Array:
         """Upper end of the 90 % interval [R, V]."""
-        return interval(self.mean, self.sd, self.in_logarithms, self.quantile, self.counted)[1]
+        return interval(self.mean + self.above, self.sd, self.in_logarithms, self.quantile, self.counted)[1]
 
 
 @dataclass(frozen=True)
@@ -377,4 +380,6 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     counted = np.pad(counted_channels(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
-                               in_logarithms, failure, each[0].run.fit.quantile, counted)  # fmt: skip
+                               in_logarithms, failure, each[0].run.fit.quantile, counted,
+                               np.min([v.below for v in views], axis=0),
+                               np.max([v.above for v in views], axis=0))  # fmt: skip

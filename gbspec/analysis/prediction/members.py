@@ -10,6 +10,7 @@ import numpy as np
 
 from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
 from gbspec.analysis.prediction.estimate import Estimator, estimator_of
+from gbspec.analysis.prediction.moving_jumps import distances_to_ends
 from gbspec.analysis.prediction.nearby import Nearby, step_to_compare, variables_of
 from gbspec.analysis.prediction.noise import measured_deviations
 from gbspec.analysis.prediction.solutions import (
@@ -35,11 +36,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class View:
     """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start and
-    of the learned model."""
+    of the learned model; `below` and `above` [R, V]: by how much solutions are so where a row may be on the other side
+    of an event."""
 
     prediction: Prediction
     variables: Array
     variance: Array
+    below: Array
+    above: Array
 
 
 class MemberPredictions:
@@ -62,7 +66,13 @@ class MemberPredictions:
         self.longer = continued_positions(evaluator.instance, trajectories, run.fit.data)
         pairs = zip(learned, self.longer, strict=True)
         self.positions = [position if begun is None else None for position, begun in pairs]
-        self.displaced = Displaced(evaluator.instance, self.covariance, frozenset(run.values), may_jump(run.model))
+        self.displaced = Displaced(
+            evaluator.instance,
+            self.covariance,
+            given=frozenset(run.values),
+            jumping=may_jump(run.model),
+            moving=distances_to_ends(run),
+        )
 
     @cached_property
     def freed(self) -> Estimator:
@@ -78,6 +88,7 @@ class MemberPredictions:
         found = predict(self.evaluator, self.model, item, start)
         variables = variables_of(self.model, found)
         variance = np.zeros_like(variables)
+        below, above = variance, variance
         refitted: Refit = unchanged
         if not found.failure:
             near = Nearby(self.evaluator, self.model, item, found, step_to_compare(self.run, self.number, item))
@@ -95,8 +106,10 @@ class MemberPredictions:
                 # Initial values that are expressions, or steady states, follow from the displaced constants.
                 return near.solve(started(evaluator, item, moved.state, own, moved.origin), evaluator)
 
-            variance = variance + self.displaced.variance(start, variables, solve, refitted)
-        return View(found, variables, variance)
+            of_model = self.displaced.variance(start, variables, solve, refitted)
+            below, above = self.displaced.passed(start, variables, of_model, solve, refitted)
+            variance = variance + of_model
+        return View(found, variables, variance, below, above)
 
     def _individuals(self, start: Start, item: Trajectory) -> Individuals | None:
         """The distribution of what a trajectory has of its own, before its rows are seen. What was learned of the

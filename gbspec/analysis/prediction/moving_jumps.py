@@ -1,4 +1,4 @@
-"""What is said of predictions where learned constants without intervals move events or doses.
+"""Learned constants that move the times of events or doses, and what predictions say where they have no intervals.
 
 Where such a time lies between two rows the data do not tell, or hardly so: until it passes a row, only values between
 rows change.
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 def said_of_moving_jumps(run: Run) -> list[str]:
     """A warning where constants that all trajectories share have no interval, and move the times of events or doses."""
-    fitted, moving = run.fit.constants, {symbol for value in _moving(run.model) for symbol in value.free_symbols}
+    fitted, moving = run.fit.constants, moving_constants(run.model)
     names = [
         k.name
         for k in run.model.learnables
-        if k.symbol in moving and not k.per_trajectory and k.name not in run.values
+        if k.name in moving and not k.per_trajectory and k.name not in run.values
         and k.name in fitted and fitted[k.name].interval is None
     ]  # fmt: skip
     if not names:
@@ -32,6 +32,21 @@ def said_of_moving_jumps(run: Run) -> list[str]:
         f"{'it' if one else 'them'}: intervals hold while it comes between the same rows as in the fit. A row between "
         "these, nearer to it than the rows of the training data, may lie on its other side"
     ]
+
+
+def distances_to_ends(run: Run) -> dict[str, tuple[float, float]]:
+    """How far the ends of the intervals of the learned constants that move events or doses are from their values."""
+    moving = moving_constants(run.model)
+    known = {name: (one.value, one.interval) for name, one in run.fit.constants.items() if name in moving}
+    return {
+        name: (ends[0] - value, ends[1] - value) for name, (value, ends) in known.items() if ends and value is not None
+    }
+
+
+def moving_constants(model: Model) -> frozenset[str]:
+    """The learned constants that the times of events or doses depend on."""
+    moving = {symbol for value in _moving(model) for symbol in value.free_symbols}
+    return frozenset(k.name for k in model.learnables if k.symbol in moving)
 
 
 def _moving(model: Model) -> tuple[Expr, ...]:
