@@ -1,21 +1,36 @@
-"""Whole solutions of few data from a second vector, that of the warm start.
+"""Whole solutions from a second vector: that of the warm start, or one that was left though it was better.
 
 Teacher forcing leads constants, initial states and functions together to where predictions from row to row are best.
 With noise and unmeasured states this may be the basin of a wrong minimum of whole solutions, which the first guess of
 all of them is not in. Where few values were measured, a second fit is cheap, and the evidence compares both.
+
+Segments have initial states of their own, so that growing horizons may end where whole solutions follow the data less
+well than before, and their fit from there too: where no state is measured, teacher forcing fits whole solutions (the
+flow of a snowy catchment: a loss of 0.45 before, 0.53 after both).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, residual_vector
-from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, log_evidence
-from gbspec.training.problem import mean_loss
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, log_evidence
+from gbspec.training.problem import Parameters, mean_loss
+from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.planned import Planned, Reached, always, shortened
 from gbspec.training.stages import StageName
+from gbspec.training.starts import refit_starts
 
 CLEARLY = 2.0
 """The other vector is gone on with if its log evidence is larger by this, and its loss not larger."""
+
+BEFORE = (StageName.STARTS_AGAIN, StageName.TEACHER)
+"""The stages before growing horizons, the last one first."""
 
 
 class OtherStart:
@@ -34,7 +49,7 @@ class OtherStart:
         """The fit from the other vector, and the better of both."""
         present, found = state["theta"], self._fitted()
         theta = found if found is not None and self._better(found, present) else present
-        return Outcome({"theta": theta}, self._loss(theta), True)
+        return Outcome({"theta": theta}, _loss(self.engine, theta), True)
 
     def _fitted(self) -> Array | None:
         """The vector that least squares reach; None if they cannot begin."""
@@ -51,10 +66,68 @@ class OtherStart:
         return state["theta"]
 
     def _better(self, found: Array, present: Array) -> bool:
-        if not self._loss(found) <= self._loss(present):
+        if not _loss(self.engine, found) <= _loss(self.engine, present):
             return False
         values = [log_evidence(self.engine, theta) for theta in (found, present)]
         return values[0] is not None and values[1] is not None and values[0] > values[1] + CLEARLY
 
-    def _loss(self, theta: Array) -> float:
-        return mean_loss(residual_vector(self.engine, theta))
+
+class WayBack:
+    """Returns to a vector that an earlier stage has reached."""
+
+    name, total = StageName.OTHER_START.value, 1
+
+    def __init__(self, engine: Engine, earlier: Array) -> None:
+        self.engine, self.earlier = engine, earlier
+
+    def begin(self, theta: Array) -> State:
+        """The state of the stage: the vector."""
+        return {"theta": theta}
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """The earlier vector."""
+        return Outcome({"theta": self.earlier}, _loss(self.engine, self.earlier), True)
+
+
+def other_starts(
+    context: Context,
+    layout: Parameters,
+    fit: Planned,
+    options: Callable[[Reached], LevenbergOptions],
+    iterations: int,
+) -> list[Planned]:
+    """The stage, and the `fit` of whole solutions again where it has replaced the vector: from where growing horizons
+    began, if whole solutions of this `layout` followed the data better there, else from the warm start, with at most so
+    many iterations (0: not from there)."""
+
+    def engine(reached: Reached) -> Engine:
+        return context.engine(layout, 0.0, shortened(reached.begun))
+
+    def left(reached: Reached) -> Array | None:
+        marks, whole = reached.marks, engine(reached)
+        name = next((one for one in BEFORE if one in marks), None)
+        if StageName.HORIZONS not in marks or name is None:
+            return None
+        before = refit_starts(whole, marks[name], context.seed)
+        return before if _loss(whole, before) < _loss(whole, reached.theta) else None
+
+    def make(reached: Reached) -> Stage:
+        earlier = left(reached)
+        if earlier is not None:
+            return WayBack(engine(reached), earlier)
+        other = reached.marks[StageName.WARM_START]
+        return OtherStart(engine(reached), other, options(replace(reached, theta=other)), iterations)
+
+    def possible(reached: Reached) -> bool:
+        return StageName.AUTOREGRESSIVE in reached.marks and (iterations > 0 or left(reached) is not None)
+
+    def replaced(reached: Reached) -> bool:
+        found = reached.marks.get(StageName.OTHER_START)
+        return found is not None and not np.array_equal(found, reached.marks[StageName.AUTOREGRESSIVE])
+
+    stage = Planned(StageName.OTHER_START, 1, make, possible=possible)
+    return [stage, replace(fit, wanted=always, possible=replaced)]
+
+
+def _loss(engine: Engine, theta: Array) -> float:
+    return mean_loss(residual_vector(engine, theta))

@@ -24,7 +24,7 @@ from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown, search_of_known, search_with_starts
-from gbspec.training.recipe.other_start import OtherStart
+from gbspec.training.recipe.other_start import other_starts
 from gbspec.training.recipe.planned import (
     At,
     Decision,
@@ -223,8 +223,7 @@ class _Planner:
             *shorter_steps(self.context, self.released, 0.0, self._whole_next, self.effort),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             fit,
-            Planned(StageName.OTHER_START, 1, self._other_start, possible=self._few),
-            replace(fit, wanted=always, possible=self._replaced),
+            *other_starts(self.context, self.released, fit, self._regular, self._from_warm_start()),
             *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(
                 StageName.CHOICE, 1, partial(choice_of_fits, self.context, self.released), possible=self._both_fits
@@ -381,21 +380,9 @@ class _Planner:
         out[: self.parameters.n_weights] = self.parameters.vector(other)[: self.parameters.n_weights]
         return out
 
-    def _few(self, reached: Reached) -> bool:
-        """Whether whole solutions, which have been fitted, are fitted from the warm start too."""
-        return StageName.AUTOREGRESSIVE in reached.marks and self.values < FEW and self.effort != "low"
-
-    def _other_start(self, reached: Reached) -> Stage:
-        engine = self.context.engine(self.released, 0.0, shortened(reached.begun))
-        other = reached.marks[StageName.WARM_START]
-        options = self._regular(replace(reached, theta=other))
-        return OtherStart(engine, other, options, WITH_FEW_DATA[self.effort])
-
-    def _replaced(self, reached: Reached) -> bool:
-        """Whether the fit from the warm start has replaced that of whole solutions, and is to be brought to rest."""
-        marks = reached.marks
-        found = marks.get(StageName.OTHER_START)
-        return found is not None and not np.array_equal(found, marks[StageName.AUTOREGRESSIVE])
+    def _from_warm_start(self) -> int:
+        """The most iterations of whole solutions from the warm start: none unless data are few."""
+        return WITH_FEW_DATA[self.effort] if self.values < FEW and self.effort != "low" else 0
 
     def _starts(
         self, name: StageName, blend: float, wanted: Decision = always, parameters: Parameters | None = None
