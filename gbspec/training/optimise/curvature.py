@@ -16,8 +16,8 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.runs import Covariance
 from gbspec.training.engines import Engine, Linearised, linearise
-from gbspec.training.optimise.levenberg_marquardt import DELTA_HIGH, DELTA_LOW, WEAK
-from gbspec.training.optimise.normal_equations import huber_weights, of_estimates
+from gbspec.training.optimise.levenberg_marquardt import WEAK
+from gbspec.training.optimise.normal_equations import huber_limit, huber_weights, of_estimates
 from gbspec.training.optimise.priors import Priors, widest
 from gbspec.training.problem import Integers, Parameters
 
@@ -172,8 +172,7 @@ class _Reduced:
     @classmethod
     def of(cls, engine: Engine, system: Linearised, theta: Array, robust: bool = True) -> _Reduced:
         measured = system.residuals.numpy()
-        size = np.abs(engine.problem.of_noise(measured))
-        delta = float(np.clip(4 * np.median(size), DELTA_LOW, DELTA_HIGH)) if len(measured) and robust else np.inf
+        delta = huber_limit(engine.problem.of_noise(measured)) if robust else np.inf
         limit = engine.problem.limit(delta)
         weights = huber_weights(measured, limit)
         priors = Priors.of(engine.problem, engine.parameters, measured)

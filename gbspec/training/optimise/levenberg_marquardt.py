@@ -10,14 +10,18 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, Linearised, linearise, residual_vector
 from gbspec.training.optimise.certainty import Certainty
-from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights, of_estimates
+from gbspec.training.optimise.normal_equations import (
+    NormalEquations,
+    huber,
+    huber_limit,
+    huber_weights,
+    of_estimates,
+)
 from gbspec.training.optimise.priors import Priors, widest
 from gbspec.training.optimise.released import released
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.problem import Parameters, Problem, mean_loss
 
-DELTA_HIGH, DELTA_LOW = 0.1, 0.003
-"""Bounds on Huber's threshold, in standard deviations of the data; it is four times the median residual."""
 ATTEMPTS = 10
 """Number of dampings tried in one iteration before the stage gives up."""
 LESS, MORE, GOOD = 0.2, 2.0, 0.9
@@ -86,9 +90,7 @@ class LevenbergMarquardt:
 
     def threshold(self, residuals: Array) -> float:
         """Huber's threshold for these residuals."""
-        if not self.options.robust or not len(residuals):
-            return float("inf")
-        return float(np.clip(4 * np.median(np.abs(residuals)), DELTA_LOW, DELTA_HIGH))
+        return huber_limit(residuals) if self.options.robust else float("inf")
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration: a Jacobian, and as many dampings as are needed for a decrease."""
@@ -376,7 +378,7 @@ def moved(engine: Engine, theta: Array, change: Array) -> float:
     residuals = system.residuals.numpy().copy()
     if not np.isfinite(residuals).all():
         return 0.0
-    delta = float(np.clip(4 * np.median(np.abs(engine.problem.of_noise(residuals))), DELTA_LOW, DELTA_HIGH))
+    delta = huber_limit(engine.problem.of_noise(residuals))
     fit, parameters = _Fit(engine, system, theta, delta, 0.0), engine.parameters
     equations, weak = fit.equations, WEAK * max(float(np.mean(residuals**2)), 1e-300)
     try:
