@@ -72,6 +72,25 @@ def test_noise_that_is_most_of_the_variance_is_no_fault_of_a_fit(
     assert how_followed(-0.1, [known]) == "badly"
 
 
+@pytest.mark.parametrize(
+    ("r2", "naive", "said"),
+    [
+        (-0.24, 0.92, True),
+        (-0.5, 0.0, True),
+        (-0.02, 0.0, False),
+        (0.91, 0.92, False),
+        (0.6, 0.92, True),
+        (1 - 2e-7, 1 - 1e-7, False),
+        (0.5, None, False),
+    ],
+)
+def test_predictions_one_row_ahead_are_compared_with_the_last_value(r2: float, naive: float | None, said: bool) -> None:
+    model = model_of("model m\nstate x = 1\nlearn s = 1\nx' = 0\ndiffusion x = s\nobserve x\n")
+    found = verdicts({"x": ChannelRecord(r2, naive, "the last value before", values=42)}, model)
+    assert bool(found) == said
+    assert all("`diffusion x = s*x`" in text for text in found)
+
+
 def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:
     model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n")
     (said,) = verdicts({"x": ChannelRecord(-0.1, 0.2, "the mean of each trajectory")}, model)

@@ -18,7 +18,7 @@ from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
 from gbspec.training.runs.limiting_noise import said_of_limits
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import named_inseparable, not_followed
+from gbspec.training.runs.verdict import named_inseparable, not_followed, worse_ahead
 
 NEARBY, AWAY = 0.1, 10
 """Without a standard deviation a constant is near a bound that it differs from by this part, where bounds are orders
@@ -341,9 +341,11 @@ def ended_at_bounds(
 
 
 def _lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
-    """The members of which whole solutions follow no channel better than the best naive predictor."""
+    """The members of which whole solutions follow no channel better than the best naive predictor, or predictions one
+    row ahead follow all of them worse."""
     return frozenset(
         member
         for member, result in results.items()
-        if result.channels and all(not_followed(found) for found in result.channels.values())
+        if result.channels
+        and all((not_followed if result.likelihood is None else worse_ahead)(one) for one in result.channels.values())
     )

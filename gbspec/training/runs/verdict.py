@@ -55,12 +55,19 @@ REMEDIES_OF_KNOWN_FORMS = (
     "what is meant, `per trajectory` constants, another state, or another model"
 )
 
+REMEDIES_AHEAD = (
+    "What may help: smaller starts of the sizes of disturbances, disturbances in proportion to a state (`diffusion x = "
+    "s*x`) where its values are positive over orders of magnitude, starting values of the other constants nearer to "
+    "what is meant (as from a fit without `diffusion`), or another model"
+)
+
 
 def verdicts(
     channels: Mapping[str, ChannelRecord], model: Model | None = None, bounded: Iterable[str] = ()
 ) -> list[str]:
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
-    leave more than half of the variance; `bounded` are the constants that ended at bounds."""
+    leave more than half of the variance, or whose predictions one row ahead, of a model with disturbances, are worse;
+    `bounded` are the constants that ended at bounds."""
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     if names := " and ".join(f"`{name}`" for name in sorted(bounded)):
         wider = f"what may help: wider bounds of {names}, if values beyond them are plausible, "
@@ -69,9 +76,11 @@ def verdicts(
     for name, found in channels.items():
         if found.r2 is None:
             continue
+        if model is not None and model.diffusions:  # these predict from row to row
+            out += [_missed_ahead(name, found)] if worse_ahead(found) else []
+            continue
         if found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
-            ahead = model is not None and model.diffusions  # these predict from row to row
-            if not ahead and how_followed(found.r2, [found]) == "badly":
+            if how_followed(found.r2, [found]) == "badly":
                 left = f"R² {found.r2:.3g}: they leave {100 * (1 - found.r2):.3g} % of the variance"
                 out.append(f"whole solutions follow `{name}` badly ({left}): {remedies}")
             continue
@@ -81,6 +90,24 @@ def verdicts(
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
+
+
+def worse_ahead(found: ChannelRecord) -> bool:
+    """Whether predictions one row ahead follow a channel clearly worse than the naive predictor: the ratio of the mean
+    squared errors is above one by more than `WORTHWHILE`, and than chance makes it, 2/sqrt(n) with n values. Exact
+    predictions are not."""
+    if found.r2 is None or found.naive is None or 1 - found.r2 <= EXACT:
+        return False
+    chance = 2 / math.sqrt(max(found.values or 0, 1))
+    return 1 - found.r2 > (1 + max(WORTHWHILE, chance)) * (1 - found.naive)
+
+
+def _missed_ahead(name: str, found: ChannelRecord) -> str:
+    return (
+        f"predictions one row ahead follow `{name}` worse than {found.predictor} (R² {found.r2:.3g}, naive "
+        f"{found.naive:.3g}): do not rely on this fit. Its likelihood may have a higher maximum, or the disturbances "
+        f"are not of this form. {REMEDIES_AHEAD}"
+    )
 
 
 def lacking(channels: Mapping[str, ChannelRecord]) -> list[str]:
