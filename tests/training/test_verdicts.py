@@ -139,6 +139,18 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     assert "lacks more" in said
 
 
+def test_disturbances_are_in_proportion_where_errors_of_measurement_are() -> None:
+    """Additive ones of the size of the largest values would hide all that is small."""
+    text = "model m\ntime t : h\nstate x : K = 1\nstate y : K = 1\nlearn k : 1/h = 1\nx' = -k*x\ny' = k*x - k*y\n"
+    model = model_of(f"{text}observe x noise lognormal(0.3)\nobserve y\n")
+    one = ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)
+    (said,) = autocorrelations({"x": one, "y": one}, model, {"x": 12.3, "y": 2.0}, noise={"x": 0.42, "y": 2.0})
+    first = "`learn s_x : 1/h^0.5 = 0.4 > 0` and `diffusion x = s_x*x`"
+    assert f"{first}, `learn s_y : K/h^0.5 = 2 > 0` and `diffusion y = s_y`" in said
+    lines = "learn s_x : 1/h^0.5 = 0.4 > 0\ndiffusion x = s_x*x\nlearn s_y : K/h^0.5 = 2 > 0\ndiffusion y = s_y\n"
+    assert len(model_of(model.text + lines).diffusions) == 2
+
+
 PENDULUM = """model m
 time t : s
 state th : deg in [-10, 90]

@@ -243,9 +243,10 @@ def autocorrelations(
     model: Model | None = None,
     rmse: Mapping[str, float] | None = None,
     intervals: bool = True,
+    noise: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given;
-    `intervals`: whether there are any."""
+    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given, and
+    sizes of residuals (see `offered`); `intervals`: whether there are any."""
     found = autocorrelated(channels)
     if not found:
         return []
@@ -260,7 +261,7 @@ def autocorrelations(
         effect = "the weights of the channels, and with them the intervals, take this into account"
     return [
         f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
-        f"measurement. Each row tells less than a new one would: {effect}" + offered(found, model, rmse or {})
+        f"measurement. Each row tells less than a new one would: {effect}" + offered(found, model, rmse or {}, noise)
     ]
 
 
