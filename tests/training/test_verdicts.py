@@ -233,7 +233,15 @@ def test_innovations_that_are_not_independent_are_told(p: float | None, said: bo
     white = WhitenessRecord(336, 20, 100.0, 1e-30, 0.1, 0.1, p) if p else WhitenessRecord(3, 0, None, None, None, None)
     likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {"x": NoiseRecord(0.08, 0.1, (0.07, 0.1))}, {"x": white})
     found = innovations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.3, pairs=300)}, likelihood)
-    assert len(found) == said and all("`d' = -d/tau`" in text for text in found)
+    assert len(found) == said and all("`d' = -d/tau`" in text and "`x` (probability 1e-20)" in text for text in found)
+
+
+def test_innovations_that_only_their_correlation_shows_are_told_with_it() -> None:
+    """A probability of 0.16 would say the opposite of the warning."""
+    white = WhitenessRecord(139, 20, 45.0, 9e-4, 0.2, 1e-6, 0.16)
+    likelihood = LikelihoodRecord("l", 1.0, 3, 139, 1.0, 1.0, {}, {"x": white})
+    (text,) = innovations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.435, pairs=138)}, likelihood)
+    assert "`x` (correlation 0.435 with the next row's) are not independent" in text and "probability" not in text
 
 
 @pytest.mark.parametrize(

@@ -273,7 +273,7 @@ def innovations(
     tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
     coloured = [name for name, p in tested.items() if name in following or (p is not None and p < COLOURED)]
     if coloured:
-        listed = ", ".join(f"`{name}` (probability {_rounded_p(tested.get(name))})" for name in coloured)
+        listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, tested.get(name))})" for name in coloured)
         out.append(
             f"the innovations of {listed} are not independent: what disturbs the system lasts longer than the time "
             "between two measurements, or the model lacks something. Intervals are too narrow then, and predictions "
@@ -330,8 +330,11 @@ def _new_name(model: Model, name: str) -> str:
     return name
 
 
-def _rounded_p(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.1g}"
+def _why_coloured(channels: Mapping[str, ChannelRecord], name: str, p: float | None) -> str:
+    """What shows that innovations are not independent: the test's probability, or else their correlation."""
+    if p is not None and p < COLOURED:
+        return f"probability {p:.1g}"
+    return f"correlation {channels[name].autocorrelation:.3g} with the next row's"
 
 
 _OVERSTATED = "the likelihood takes them for independent nevertheless, so that its intervals are too narrow"
