@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis import forecast
+from gbspec.data import LINE
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.runs import (
@@ -31,6 +32,7 @@ from gbspec.training.runs.verdict import (
     autocorrelations,
     blown_up,
     innovations,
+    not_followed,
     verdicts,
 )
 from gbspec.training.runs.warned import warnings_of
@@ -70,6 +72,46 @@ def test_noise_that_is_most_of_the_variance_is_no_fault_of_a_fit(
     assert bool(verdicts({"x": known})) == said
     assert how_followed(0.3, [known]) == ("badly" if said else "in part")
     assert how_followed(-0.1, [known]) == "badly"
+
+
+DECAY = "model m\ntime t\nstate x = 1\nlearn k = 1\nlearn r = 1\n{}\nobserve {}\n"
+
+
+@pytest.mark.parametrize(
+    ("balance", "observed", "line"),
+    [
+        ("x' = -k*x", "x noise lognormal(0.3)", True),
+        ("x' = k*x - r*x", "x noise lognormal(0.3)", True),
+        ("let g = k - r\nx' = g*x", "y = r*x noise lognormal(0.3)", True),
+        ("x' = -k*x", "y = log(x)", True),
+        ("x' = k", "x", True),
+        ("x' = -k*x", "x", False),
+        ("x' = -k*x", "y = x + 1 noise lognormal(0.3)", False),
+        ("x' = k*x*(1 - x/r)", "x noise lognormal(0.3)", False),
+        ("x' = k*t*x", "x noise lognormal(0.3)", False),
+        ("unknown q(x) by mlp(2)\nx' = q*x", "x noise lognormal(0.3)", False),
+        ("input u held\nx' = u*x", "x noise lognormal(0.3)", False),
+        ("x' = -k*x", "x noise lognormal(0.3)\ndose x", False),
+        ("x' = if(t > 2, k, r)*x", "x noise lognormal(0.3)", False),
+    ],
+)
+def test_a_model_that_is_a_straight_line_need_not_be_better_than_one(balance: str, observed: str, line: bool) -> None:
+    model, (name, *_) = model_of(DECAY.format(balance, observed)), observed.split()
+    one = ChannelRecord(0.922, 0.914, LINE, values=44, autocorrelation=0.5, pairs=42)
+    assert bool(verdicts({name: one}, model)) != line
+    assert bool(verdicts({name: replace(one, r2=0.91)}, model)) != line, "by a weight, or a shared constant"
+    (said,) = verdicts({name: replace(one, r2=0.8)}, model)
+    assert "worse than a straight line" in said
+    assert verdicts({name: replace(one, r2=0.1, naive=0.1, predictor="the mean")}, model)
+
+
+def test_a_fit_that_obeys_limits_may_be_worse_than_what_does_not_know_them() -> None:
+    """Of 60 values 16 are limits."""
+    one = ChannelRecord(0.91, 0.914, LINE, values=60, autocorrelation=0.5, pairs=42)
+    assert verdicts({"x": one}) and not_followed(one)
+    limited = replace(one, censored=16)
+    assert not verdicts({"x": limited}) and not not_followed(limited)
+    assert verdicts({"x": replace(limited, r2=0.85)}) and verdicts({"x": replace(limited, censored=1)})
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,10 @@ from gbspec.files import finite
 from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
+from gbspec.training.runs.beside_naive import worse_ahead
 from gbspec.training.runs.limiting_noise import said_of_limits
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import named_inseparable, not_followed, worse_ahead
+from gbspec.training.runs.verdict import named_inseparable, not_followed
 
 NEARBY, AWAY = 0.1, 10
 """Without a standard deviation a constant is near a bound that it differs from by this part, where bounds are orders

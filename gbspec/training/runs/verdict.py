@@ -14,10 +14,8 @@ from gbspec.ir import Channel, Model
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
+from gbspec.training.runs.beside_naive import better, squared_errors, worse_ahead
 from gbspec.training.runs.offered import offered
-
-WORTHWHILE = 0.1
-"""A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
 
 GOOD = 0.9
 """A fit that explains more than this, and leaves nothing but noise, is not doubted because a simple curve does too."""
@@ -79,27 +77,17 @@ def verdicts(
         if model is not None and model.diffusions:  # these predict from row to row
             out += [_missed_ahead(name, found)] if worse_ahead(found) else []
             continue
-        if found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
+        if found.naive is None or better(found, name, model):
             if how_followed(found.r2, [found]) == "badly":
                 left = f"R² {found.r2:.3g}: they leave {100 * (1 - found.r2):.3g} % of the variance"
                 out.append(f"whole solutions follow `{name}` badly ({left}): {remedies}")
             continue
         if found.r2 > GOOD and found.autocorrelation is not None and name not in autocorrelated(channels):
             continue
-        compared = "worse than" if found.r2 < found.naive else "hardly better than"
+        compared = "worse than" if not_followed(found) else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
-
-
-def worse_ahead(found: ChannelRecord) -> bool:
-    """Whether predictions one row ahead follow a channel clearly worse than the naive predictor: the ratio of the mean
-    squared errors is above one by more than `WORTHWHILE`, and than chance makes it, 2/sqrt(n) with n values. Exact
-    predictions are not."""
-    if found.r2 is None or found.naive is None or 1 - found.r2 <= EXACT:
-        return False
-    chance = 2 / math.sqrt(max(found.values or 0, 1))
-    return 1 - found.r2 > (1 + max(WORTHWHILE, chance)) * (1 - found.naive)
 
 
 def _missed_ahead(name: str, found: ChannelRecord) -> str:
@@ -133,7 +121,10 @@ def blown_up(labels: Sequence[str]) -> str:
 def not_followed(found: ChannelRecord | None) -> bool:
     """Whether whole solutions follow a channel less well than the best naive predictor: what their residuals look like
     says nothing of the data then."""
-    return found is not None and found.naive is not None and (found.r2 is None or found.r2 < found.naive)
+    if found is None or found.naive is None:
+        return False
+    error, of_naive = squared_errors(found)
+    return error > of_naive
 
 
 def above_stated(
