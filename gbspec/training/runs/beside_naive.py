@@ -11,6 +11,9 @@ from gbspec.training.runs.straight import straight
 
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
+LOST = 2.0
+"""A fit with disturbances is not to be relied on whose errors one row ahead have so many times the mean square of what
+knows no model."""
 
 
 def squared_errors(found: ChannelRecord) -> tuple[float, float]:
@@ -37,12 +40,17 @@ def better(found: ChannelRecord, name: str, model: Model | None) -> bool:
 
 def worse_ahead(found: ChannelRecord) -> bool:
     """Whether predictions one row ahead follow a channel clearly worse than the naive predictor: the ratio of the mean
-    squared errors is above one by more than `WORTHWHILE`, and than chance makes it, 2/sqrt(n) with n values. Exact
-    predictions are not."""
+    squared errors is above one by more than `WORTHWHILE`, and than chance makes it: of independent errors its standard
+    error is 2/sqrt(n) with n values. Exact predictions are not."""
     if found.r2 is None or found.naive is None or 1 - found.r2 <= EXACT:
         return False
-    chance = 2 / math.sqrt(max(found.values or 0, 1))
+    chance = 2 * 2 / math.sqrt(max(found.values or 0, 1))
     return 1 - found.r2 > (1 + max(WORTHWHILE, chance)) * (1 - found.naive)
 
 
-__all__ = ["better", "squared_errors", "worse_ahead"]
+def lost_ahead(found: ChannelRecord) -> bool:
+    """Whether such predictions have more than `LOST` times the mean squared error of the naive predictor."""
+    return worse_ahead(found) and 1 - (found.r2 or 0.0) > LOST * (1 - (found.naive or 0.0))
+
+
+__all__ = ["better", "lost_ahead", "squared_errors", "worse_ahead"]

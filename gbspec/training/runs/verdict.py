@@ -14,7 +14,7 @@ from gbspec.ir import Channel, Model
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
-from gbspec.training.runs.beside_naive import better, squared_errors, worse_ahead
+from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
 from gbspec.training.runs.offered import offered
 
 GOOD = 0.9
@@ -91,9 +91,10 @@ def verdicts(
 
 
 def _missed_ahead(name: str, found: ChannelRecord) -> str:
+    relied = "this fit" if lost_ahead(found) else f"predictions of `{name}`"
     return (
         f"predictions one row ahead follow `{name}` worse than {found.predictor} (R² {found.r2:.3g}, naive "
-        f"{found.naive:.3g}): do not rely on this fit. Its likelihood may have a higher maximum, or the disturbances "
+        f"{found.naive:.3g}): do not rely on {relied}. The likelihood may have a higher maximum, or the disturbances "
         f"are not of this form. {REMEDIES_AHEAD}"
     )
 
