@@ -27,6 +27,7 @@ from .keeping import to_arrays as to_arrays
 from .memory import Frame as Frame
 from .memory import frame_columns as frame_columns
 from .memory import is_frame as is_frame
+from .naive import LINE as LINE
 from .naive import Naive as Naive
 from .naive import naive_predictors as naive_predictors
 from .naive import variance_of as variance_of

@@ -31,10 +31,12 @@ def _trend(t: Array, y: Array) -> Array:
     return np.asarray(y.mean() + centred * (centred @ y) / max(float(centred @ centred), 1e-300))
 
 
+LINE = "a straight line through each trajectory"
+"""The name of the predictor that some models are themselves."""
 PREDICTORS: Mapping[str, tuple[Predictor, int]] = {
     "the mean of each trajectory": (_mean, 1),
     "the first value of each trajectory": (_first, 1),
-    "a straight line through each trajectory": (_trend, 2),
+    LINE: (_trend, 2),
 }
 """The predictors and their numbers of parameters."""
 

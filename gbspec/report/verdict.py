@@ -85,7 +85,9 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
 def _headline(run: Run, found: Validation, warnings: Sequence[str], reserved: bool, with_data: bool) -> str:
     """`reserved`: whether there are warnings, or something that the data hardly determine."""
     followed = {_how(run, found, name) for name in found.judged}
-    worse = any("whole solutions follow" in warning for warning in warnings)
+    worse = any(
+        text in warning for warning in warnings for text in ("whole solutions follow", "do not rely on this fit")
+    )
     if not with_data:
         return "Without its data, this fit cannot be judged."
     at_none = run.innovations is not None and run.innovations.maximum is False

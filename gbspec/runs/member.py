@@ -57,7 +57,8 @@ class ChannelRecord:
 
     `r2` is 1 minus the mean squared error over the variance of the data (of logarithms, if the noise is log-normal),
     `naive` that of the best predictor that knows no model, which `predictor` names; None where they are undefined (the
-    solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded.
+    solution is not finite, the data do not vary). Of a model with disturbances both are of predictions one row ahead:
+    the naive one is the last value, or the mean. `held` is `r2` of the data that `--holdout` excluded.
     `autocorrelation` is the correlation of residuals with the next ones of the same trajectory, from `pairs` of them.
 
     `values` is the number of measured values, `weight` that of a squared error, in units of the variance of the data.

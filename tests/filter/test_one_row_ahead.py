@@ -80,6 +80,35 @@ def test_train_and_validate_have_the_same_errors_one_row_ahead(level: tuple[Run,
     assert one.loss is not None and one.loss == pytest.approx(0.5 * rmse**2 / np.var(walk()), rel=0.05)
 
 
+def test_the_last_value_before_is_the_scale_of_errors_one_row_ahead(level: tuple[Run, Trajectories]) -> None:
+    run, _ = level
+    channel, y = (run.fit.members[0].channels or {})["x"], walk()
+    assert channel.predictor == "the last value before"
+    assert channel.naive == pytest.approx(1 - np.mean(np.diff(y) ** 2) / np.var(y[1:]))
+    assert not any("one row ahead" in warning for warning in run.fit.warnings)
+
+
+def test_predictions_that_are_worse_than_the_last_value_are_no_fit(tmp_path: Path) -> None:
+    """A balance that decays at once predicts zero, whatever its disturbances."""
+    rows = ["t,x", *(f"{t},{x:.6f}" for t, x in enumerate(walk()))]
+    run, data = fitted(tmp_path, LEVEL.replace("x' = 0", "x' = -5*x"), rows)
+    (said,) = [warning for warning in run.fit.warnings if "one row ahead" in warning]
+    assert "one row ahead follow `x` worse than the last value before (R² -" in said and "do not rely" in said
+    assert verdict(run, validate(run, data), [], with_data=True).headline.startswith("Do not rely")
+
+
+def test_the_last_values_are_those_of_each_channel_and_trajectory(tmp_path: Path) -> None:
+    engine, _ = engine_of(tmp_path, BENT, table("X V y"))
+    packed, last = engine.problem.packed, filter.last_values(engine)
+    for i in range(packed.trajectories):
+        rows = np.flatnonzero(packed.row_trajectory == i)
+        rows = rows[np.argsort(packed.row_index[rows])]
+        for j in range(last.shape[1]):
+            earlier = rows[engine.problem.valued[rows, j]]
+            assert np.array_equal(last[earlier[1:], j], engine.noise.value[earlier[:-1], j])
+            assert np.isnan(last[earlier[0], j])
+
+
 def test_held_out_rows_alone_make_the_held_out_r2(tmp_path: Path) -> None:
     rows = ["t,x", *(f"{t},{x:.6f}" for t, x in enumerate(walk()))]
     run, _ = fitted(tmp_path, LEVEL, rows, replace(QUICK, holdout=0.25))

@@ -38,7 +38,9 @@ observe x
 def member(channel: ChannelRecord, k: float) -> MemberResult:
     """What is asked of a member here."""
     known = {"channels": {"x": channel}, "constants": {"k": k}, "sd": {"k": 1.0}}
-    found = SimpleNamespace(tied=[], notes=[], vanished=frozenset(), misjudged=frozenset(), finished=True, **known)
+    found = SimpleNamespace(
+        tied=[], notes=[], vanished=frozenset(), misjudged=frozenset(), finished=True, likelihood=None, **known
+    )
     return cast(MemberResult, found)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis import forecast
+from gbspec.data import LINE
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.runs import (
@@ -31,6 +32,7 @@ from gbspec.training.runs.verdict import (
     autocorrelations,
     blown_up,
     innovations,
+    not_followed,
     verdicts,
 )
 from gbspec.training.runs.warned import warnings_of
@@ -70,6 +72,68 @@ def test_noise_that_is_most_of_the_variance_is_no_fault_of_a_fit(
     assert bool(verdicts({"x": known})) == said
     assert how_followed(0.3, [known]) == ("badly" if said else "in part")
     assert how_followed(-0.1, [known]) == "badly"
+
+
+DECAY = "model m\ntime t\nstate x = 1\nlearn k = 1\nlearn r = 1\n{}\nobserve {}\n"
+
+
+@pytest.mark.parametrize(
+    ("balance", "observed", "line"),
+    [
+        ("x' = -k*x", "x noise lognormal(0.3)", True),
+        ("x' = k*x - r*x", "x noise lognormal(0.3)", True),
+        ("let g = k - r\nx' = g*x", "y = r*x noise lognormal(0.3)", True),
+        ("x' = -k*x", "y = log(x)", True),
+        ("x' = k", "x", True),
+        ("x' = -k*x", "x", False),
+        ("x' = -k*x", "y = x + 1 noise lognormal(0.3)", False),
+        ("x' = k*x*(1 - x/r)", "x noise lognormal(0.3)", False),
+        ("x' = k*t*x", "x noise lognormal(0.3)", False),
+        ("unknown q(x) by mlp(2)\nx' = q*x", "x noise lognormal(0.3)", False),
+        ("input u held\nx' = u*x", "x noise lognormal(0.3)", False),
+        ("x' = -k*x", "x noise lognormal(0.3)\ndose x", False),
+        ("x' = if(t > 2, k, r)*x", "x noise lognormal(0.3)", False),
+    ],
+)
+def test_a_model_that_is_a_straight_line_need_not_be_better_than_one(balance: str, observed: str, line: bool) -> None:
+    model, (name, *_) = model_of(DECAY.format(balance, observed)), observed.split()
+    one = ChannelRecord(0.922, 0.914, LINE, values=44, autocorrelation=0.5, pairs=42)
+    assert bool(verdicts({name: one}, model)) != line
+    assert bool(verdicts({name: replace(one, r2=0.91)}, model)) != line, "by a weight, or a shared constant"
+    (said,) = verdicts({name: replace(one, r2=0.8)}, model)
+    assert "worse than a straight line" in said
+    assert verdicts({name: replace(one, r2=0.1, naive=0.1, predictor="the mean")}, model)
+
+
+def test_a_fit_that_obeys_limits_may_be_worse_than_what_does_not_know_them() -> None:
+    """Of 60 values 16 are limits."""
+    one = ChannelRecord(0.91, 0.914, LINE, values=60, autocorrelation=0.5, pairs=42)
+    assert verdicts({"x": one}) and not_followed(one)
+    limited = replace(one, censored=16)
+    assert not verdicts({"x": limited}) and not not_followed(limited)
+    assert verdicts({"x": replace(limited, r2=0.85)}) and verdicts({"x": replace(limited, censored=1)})
+
+
+@pytest.mark.parametrize(
+    ("r2", "naive", "said"),
+    [
+        (-0.24, 0.92, "do not rely on this fit"),
+        (-1.5, 0.0, "do not rely on this fit"),
+        (-0.8, 0.0, "do not rely on predictions of `x`"),
+        (-0.02, 0.0, ""),
+        (0.91, 0.92, ""),
+        (0.88, 0.92, ""),
+        (0.86, 0.92, "do not rely on predictions of `x`"),
+        (0.6, 0.92, "do not rely on this fit"),
+        (1 - 2e-7, 1 - 1e-7, ""),
+        (0.5, None, ""),
+    ],
+)
+def test_predictions_one_row_ahead_are_compared_with_the_last_value(r2: float, naive: float | None, said: str) -> None:
+    model = model_of("model m\nstate x = 1\nlearn s = 1\nx' = 0\ndiffusion x = s\nobserve x\n")
+    found = verdicts({"x": ChannelRecord(r2, naive, "the last value before", values=42)}, model)
+    assert bool(found) == bool(said)
+    assert all("`diffusion x = s*x`" in text and said in text for text in found)
 
 
 def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:
@@ -118,6 +182,18 @@ def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None
     text = f"{model.text}learn s_x : K/h^0.5 = 0.1 > 0\ndiffusion x = s_x\n"
     (said,) = autocorrelations(followed, model_of(text), {})
     assert "lacks more" in said
+
+
+def test_disturbances_are_in_proportion_where_errors_of_measurement_are() -> None:
+    """Additive ones of the size of the largest values would hide all that is small."""
+    text = "model m\ntime t : h\nstate x : K = 1\nstate y : K = 1\nlearn k : 1/h = 1\nx' = -k*x\ny' = k*x - k*y\n"
+    model = model_of(f"{text}observe x noise lognormal(0.3)\nobserve y\n")
+    one = ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)
+    (said,) = autocorrelations({"x": one, "y": one}, model, {"x": 12.3, "y": 2.0}, noise={"x": 0.42, "y": 2.0})
+    first = "`learn s_x : 1/h^0.5 = 0.4 > 0` and `diffusion x = s_x*x`"
+    assert f"{first}, `learn s_y : K/h^0.5 = 2 > 0` and `diffusion y = s_y`" in said
+    lines = "learn s_x : 1/h^0.5 = 0.4 > 0\ndiffusion x = s_x*x\nlearn s_y : K/h^0.5 = 2 > 0\ndiffusion y = s_y\n"
+    assert len(model_of(model.text + lines).diffusions) == 2
 
 
 PENDULUM = """model m
@@ -202,7 +278,15 @@ def test_innovations_that_are_not_independent_are_told(p: float | None, said: bo
     white = WhitenessRecord(336, 20, 100.0, 1e-30, 0.1, 0.1, p) if p else WhitenessRecord(3, 0, None, None, None, None)
     likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {"x": NoiseRecord(0.08, 0.1, (0.07, 0.1))}, {"x": white})
     found = innovations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.3, pairs=300)}, likelihood)
-    assert len(found) == said and all("`d' = -d/tau`" in text for text in found)
+    assert len(found) == said and all("`d' = -d/tau`" in text and "`x` (probability 1e-20)" in text for text in found)
+
+
+def test_innovations_that_only_their_correlation_shows_are_told_with_it() -> None:
+    """A probability of 0.16 would say the opposite of the warning."""
+    white = WhitenessRecord(139, 20, 45.0, 9e-4, 0.2, 1e-6, 0.16)
+    likelihood = LikelihoodRecord("l", 1.0, 3, 139, 1.0, 1.0, {}, {"x": white})
+    (text,) = innovations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.435, pairs=138)}, likelihood)
+    assert "`x` (correlation 0.435 with the next row's) are not independent" in text and "probability" not in text
 
 
 @pytest.mark.parametrize(

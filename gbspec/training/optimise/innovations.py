@@ -22,6 +22,7 @@ from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.expected import ROUNDING, certainty_of
 from gbspec.training.optimise.lost import not_finite
+from gbspec.training.optimise.near_none import near_none
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.released import released
 from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
@@ -121,7 +122,7 @@ class InnovationsFit:
     def going_on(self, vector: Array) -> State:
         """The state at a vector of the likelihood as the only one to begin from."""
         alone = {"waiting": np.zeros((0, len(vector))), "best": np.zeros(0), "best_value": np.array(np.inf)}
-        return self._begun(vector) | alone | {"left": np.array(float(self.total))}
+        return self._begun(vector) | alone | {"left": np.array(float(self.total)), "smaller": np.array(1.0)}
 
     def _begun(self, vector: Array) -> State:
         """The state at a vector of the likelihood."""
@@ -206,11 +207,12 @@ class InnovationsFit:
         return {**state, **self._begun(state["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
 
     def _rested(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
-        """An iteration of the best start. Where it rests, constants at bounds may be released; where the fit with
-        unknown functions does, one in which these are constants follows, whose state is kept beside that of the fit."""
-        freed = self._released(state) if outcome.done else None
-        if freed is not None:
-            return Outcome(freed, outcome.loss, False)
+        """An iteration of the best start. Where it rests, constants at bounds may be released, and smaller disturbances
+        are tried once; where the fit with unknown functions does, one in which these are constants follows, whose state
+        is kept beside that of the fit."""
+        onward = (self._released(state) or self._with_smaller(state)) if outcome.done else None
+        if onward is not None:
+            return Outcome(onward, outcome.loss, False)
         weights = self.engine.parameters.n_weights
         if self.precision is not None or not weights:
             return Outcome(state, outcome.loss, outcome.done)
@@ -238,6 +240,13 @@ class InnovationsFit:
         maps = engine.parameters.bijections(engine.parameters.shared)
         u = released(maps, vector[places], value, LOWER) if times < RELEASES else None
         return None if u is None else {**state, **self._begun(at(u)), "released": np.array(times + 1)}
+
+    def _with_smaller(self, state: State) -> State | None:
+        """The state where smaller disturbances give a higher likelihood; None if none do, or if they were tried."""
+        if "smaller" in state:
+            return None
+        vector = near_none(self.engine, np.concatenate([state["theta"], state["log_sd"]]))
+        return None if vector is None else {**state, **self._begun(vector), "smaller": np.array(1.0)}
 
     def _compared(self, state: State, iteration: int) -> Outcome:
         """An iteration of the fit with constant functions; at its end the fit with the smaller criterion is kept."""

@@ -16,6 +16,7 @@ from gbspec.files import finite
 from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
+from gbspec.training.runs.beside_naive import lost_ahead
 from gbspec.training.runs.limiting_noise import said_of_limits
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import named_inseparable, not_followed
@@ -341,9 +342,11 @@ def ended_at_bounds(
 
 
 def _lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
-    """The members of which whole solutions follow no channel better than the best naive predictor."""
+    """The members of which whole solutions follow no channel better than the best naive predictor, or predictions one
+    row ahead are far worse than it for all of them."""
     return frozenset(
         member
         for member, result in results.items()
-        if result.channels and all(not_followed(found) for found in result.channels.values())
+        if result.channels
+        and all((not_followed if result.likelihood is None else lost_ahead)(one) for one in result.channels.values())
     )

@@ -41,6 +41,8 @@ from gbspec.training.runs.small_noise import said_of_small_noises
 from gbspec.training.runs.summary import MemberResult
 
 OBJECTIVE = "likelihood of innovations (Kalman filter)"
+LAST, MEAN = "the last value before", "the mean of all values"
+"""The predictors one row ahead that know no model."""
 
 
 def summarise(
@@ -130,6 +132,7 @@ def _channels(
     held = held_out_filter(context, parameters, theta) if len(context.held) else None
     scales, problem, out = context.scaled(None), engine.problem, {}
     errors, ahead = filter.one_row_ahead(engine, found)
+    last = filter.last_values(engine)
     for i, channel in enumerate(context.model.channels):
         rows = in_time(problem, i)
         rows = rows[ahead[rows, i]]
@@ -137,8 +140,7 @@ def _channels(
         learned = context.estimated is not None and bool(np.isfinite(context.estimated.noise[i]))
         out[channel.name] = ChannelRecord(
             _r2(engine, errors, ahead, i),
-            None,
-            "",
+            *_naive(engine, last, ahead, i),
             _held_r2(*held, i) if held is not None else None,
             len(rows),
             finite(float(scales.value_weights[i])),
@@ -162,6 +164,18 @@ def _r2(engine: FilterEngine, errors: Array, counted: Mask, channel: int) -> flo
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         return finite(1 - float(np.mean(errors[seen, channel] ** 2)) / variance)
+
+
+def _naive(engine: FilterEngine, last: Array, counted: Mask, channel: int) -> tuple[float | None, str]:
+    """R² of the better predictor one row ahead that knows no model: the channel's last value, or the mean of all values
+    that count; and what it is."""
+    seen = counted[:, channel]
+    values, before = engine.noise.value[seen, channel], last[seen, channel]
+    mean = float(np.mean(values)) if len(values) else 0.0
+    found = _r2(engine, engine.noise.value - np.where(np.isfinite(last), last, mean), counted, channel)
+    if found is None or not np.isfinite(before).any():
+        return found, "" if found is None else MEAN
+    return (found, LAST) if found > 0 else (0.0, MEAN)
 
 
 def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:

@@ -8,15 +8,18 @@ from collections.abc import Mapping, Sequence
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir import Model, Range
+from gbspec.ir import Model, Range, logarithmic
 
 SPELLED_OUT = 2
 """Of so many states each one's statements of a disturbance are written out; of more the first one's show how."""
 
 
-def offered(found: Sequence[str], model: Model | None, rmse: Mapping[str, float]) -> str:
+def offered(
+    found: Sequence[str], model: Model | None, rmse: Mapping[str, float], noise: Mapping[str, float] | None = None
+) -> str:
     """What a model lacks that leaves autocorrelated residuals of the channels `found`: the statements of a disturbance,
-    or more than those it has."""
+    or more than those it has. Sizes begin with those of residuals: `rmse`, in the units of the channels, or of
+    log-normal noise `noise`, of logarithms."""
     if model is None:
         return ""
     if model.marginal and any(k.distribution is not None for k in model.learnables):  # not offered with `diffusion`
@@ -30,21 +33,34 @@ def offered(found: Sequence[str], model: Model | None, rmse: Mapping[str, float]
     measured = {c.state: c.name for c in model.channels if c.name in found and c.state is not None}
     if not measured:
         return ". The statement `diffusion` describes random disturbances of states between measurements"
-    lines, starts, time = [], [], model.time.unit
     sizes, exact = _disturbed(model, {index: rmse.get(channel, 0.0) for index, channel in measured.items()})
-    for index, size in sizes.items():
-        state = model.states[index]
-        unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
-        start = rounded(size)
-        lines.append(f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = s_{state.name}`")
-        starts.append(start)
+    # What is measured with an error in proportion spans orders of magnitude, and so does what disturbs it.
+    logs = _of_logarithms(model)
+    relative = {index for index in sizes if measured.get(index) in logs}
+    sizes |= {index: (noise or {}).get(measured[index], math.nan) for index in relative}
+    lines = [_statements(model, index, rounded(size), index in relative) for index, size in sizes.items()]
+    starts = [rounded(size) for size in sizes.values()]
     names = [f"`{model.states[index].name}`" for index in sizes]
     listed = " and ".join(f"`{model.states[index].name}`" for index in exact)
     why = f", from which {listed} {'follows' if len(exact) == 1 else 'follow'} exactly," if exact else ""
-    if len(names) <= SPELLED_OUT:
+    if len(names) <= SPELLED_OUT or 0 < len(relative) < len(sizes):
         return f". To describe disturbances of {' and '.join(names)}{why or ','} add the lines {', '.join(lines)}"
     others = f"{', '.join(names[1:])} (from {', '.join(starts[1:])})"
     return f". To describe disturbances of {names[0]}{why or ','} add the lines {lines[0]}; likewise for {others}"
+
+
+def _of_logarithms(model: Model) -> list[str]:
+    """The names of the channels whose noise is log-normal."""
+    return [channel.name for channel, log in zip(model.channels, logarithmic(model), strict=True) if log]
+
+
+def _statements(model: Model, index: int, start: str, relative: bool) -> str:
+    """The lines that disturb a state by so much, or by such a part of it."""
+    state, time = model.states[index], model.time.unit
+    own = "1" if relative else state.unit
+    unit = f" : {own}/{time}^0.5" if own and time else ""
+    value = f"s_{state.name}*{state.name}" if relative else f"s_{state.name}"
+    return f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = {value}`"
 
 
 def _disturbed(model: Model, missed: Mapping[int, float]) -> tuple[dict[int, float], list[int]]:

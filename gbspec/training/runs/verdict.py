@@ -14,10 +14,8 @@ from gbspec.ir import Channel, Model
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
+from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
 from gbspec.training.runs.offered import offered
-
-WORTHWHILE = 0.1
-"""A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
 
 GOOD = 0.9
 """A fit that explains more than this, and leaves nothing but noise, is not doubted because a simple curve does too."""
@@ -55,12 +53,19 @@ REMEDIES_OF_KNOWN_FORMS = (
     "what is meant, `per trajectory` constants, another state, or another model"
 )
 
+REMEDIES_AHEAD = (
+    "What may help: smaller starts of the sizes of disturbances, disturbances in proportion to a state (`diffusion x = "
+    "s*x`) where its values are positive over orders of magnitude, starting values of the other constants nearer to "
+    "what is meant (as from a fit without `diffusion`), or another model"
+)
+
 
 def verdicts(
     channels: Mapping[str, ChannelRecord], model: Model | None = None, bounded: Iterable[str] = ()
 ) -> list[str]:
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
-    leave more than half of the variance; `bounded` are the constants that ended at bounds."""
+    leave more than half of the variance, or whose predictions one row ahead, of a model with disturbances, are worse;
+    `bounded` are the constants that ended at bounds."""
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     if names := " and ".join(f"`{name}`" for name in sorted(bounded)):
         wider = f"what may help: wider bounds of {names}, if values beyond them are plausible, "
@@ -69,18 +74,29 @@ def verdicts(
     for name, found in channels.items():
         if found.r2 is None:
             continue
-        if found.naive is None or 1 - found.r2 <= (1 - WORTHWHILE) * (1 - found.naive):
-            ahead = model is not None and model.diffusions  # these predict from row to row
-            if not ahead and how_followed(found.r2, [found]) == "badly":
+        if model is not None and model.diffusions:  # these predict from row to row
+            out += [_missed_ahead(name, found)] if worse_ahead(found) else []
+            continue
+        if found.naive is None or better(found, name, model):
+            if how_followed(found.r2, [found]) == "badly":
                 left = f"R² {found.r2:.3g}: they leave {100 * (1 - found.r2):.3g} % of the variance"
                 out.append(f"whole solutions follow `{name}` badly ({left}): {remedies}")
             continue
         if found.r2 > GOOD and found.autocorrelation is not None and name not in autocorrelated(channels):
             continue
-        compared = "worse than" if found.r2 < found.naive else "hardly better than"
+        compared = "worse than" if not_followed(found) else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
+
+
+def _missed_ahead(name: str, found: ChannelRecord) -> str:
+    relied = "this fit" if lost_ahead(found) else f"predictions of `{name}`"
+    return (
+        f"predictions one row ahead follow `{name}` worse than {found.predictor} (R² {found.r2:.3g}, naive "
+        f"{found.naive:.3g}): do not rely on {relied}. The likelihood may have a higher maximum, or the disturbances "
+        f"are not of this form. {REMEDIES_AHEAD}"
+    )
 
 
 def lacking(channels: Mapping[str, ChannelRecord]) -> list[str]:
@@ -106,7 +122,10 @@ def blown_up(labels: Sequence[str]) -> str:
 def not_followed(found: ChannelRecord | None) -> bool:
     """Whether whole solutions follow a channel less well than the best naive predictor: what their residuals look like
     says nothing of the data then."""
-    return found is not None and found.naive is not None and (found.r2 is None or found.r2 < found.naive)
+    if found is None or found.naive is None:
+        return False
+    error, of_naive = squared_errors(found)
+    return error > of_naive
 
 
 def above_stated(
@@ -216,9 +235,10 @@ def autocorrelations(
     model: Model | None = None,
     rmse: Mapping[str, float] | None = None,
     intervals: bool = True,
+    noise: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given;
-    `intervals`: whether there are any."""
+    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given, and
+    sizes of residuals (see `offered`); `intervals`: whether there are any."""
     found = autocorrelated(channels)
     if not found:
         return []
@@ -233,7 +253,7 @@ def autocorrelations(
         effect = "the weights of the channels, and with them the intervals, take this into account"
     return [
         f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
-        f"measurement. Each row tells less than a new one would: {effect}" + offered(found, model, rmse or {})
+        f"measurement. Each row tells less than a new one would: {effect}" + offered(found, model, rmse or {}, noise)
     ]
 
 
@@ -245,7 +265,7 @@ def innovations(
     tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
     coloured = [name for name, p in tested.items() if name in following or (p is not None and p < COLOURED)]
     if coloured:
-        listed = ", ".join(f"`{name}` (probability {_rounded_p(tested.get(name))})" for name in coloured)
+        listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, tested.get(name))})" for name in coloured)
         out.append(
             f"the innovations of {listed} are not independent: what disturbs the system lasts longer than the time "
             "between two measurements, or the model lacks something. Intervals are too narrow then, and predictions "
@@ -302,8 +322,11 @@ def _new_name(model: Model, name: str) -> str:
     return name
 
 
-def _rounded_p(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.1g}"
+def _why_coloured(channels: Mapping[str, ChannelRecord], name: str, p: float | None) -> str:
+    """What shows that innovations are not independent: the test's probability, or else their correlation."""
+    if p is not None and p < COLOURED:
+        return f"probability {p:.1g}"
+    return f"correlation {channels[name].autocorrelation:.3g} with the next row's"
 
 
 _OVERSTATED = "the likelihood takes them for independent nevertheless, so that its intervals are too narrow"

@@ -55,7 +55,7 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         # A standard deviation of zero is that of a constant at a bound, which has no interval either.
         every = np.concatenate([each, np.ravel(result.own_sd)])
         certain = model is None or bool(model.networks) or bool((np.isfinite(every) & (every > 0)).any())
-        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse, certain)]
+        return [*far, *verdict.autocorrelations(result.channels, model, result.rmse, certain, result.noise)]
     if model is not None and model.marginal:
         return []
     if not result.finished:  # that is said by itself

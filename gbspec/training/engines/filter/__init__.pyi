@@ -1,4 +1,5 @@
 from .ahead import from_starts as from_starts
+from .ahead import last_values as last_values
 from .ahead import measured_before as measured_before
 from .ahead import one_row_ahead as one_row_ahead
 from .ahead import steps_ahead as steps_ahead

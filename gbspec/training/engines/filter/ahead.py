@@ -62,6 +62,20 @@ def one_row_ahead(engine: FilterEngine, found: Filtered) -> tuple[Array, Mask]:
     return errors, valued & (measured_before(engine, valued) > 0)[:, None]
 
 
+def last_values(engine: FilterEngine) -> Array:
+    """The value that a channel had last before each row of its trajectory [R, C], as the filter takes it (logarithms
+    where the noise is log-normal); NaN before its first one."""
+    packed, valued = engine.problem.packed, engine.problem.valued
+    out = np.full(valued.shape, np.nan)
+    for i in range(packed.trajectories):
+        rows = np.flatnonzero(packed.row_trajectory == i)
+        last = np.full(valued.shape[1], np.nan)
+        for row in rows[np.argsort(packed.row_index[rows])]:
+            out[row] = last
+            last = np.where(valued[row], engine.noise.value[row], last)
+    return out
+
+
 def from_starts(engine: FilterEngine, vector: Array) -> Array:
     """The prediction of each value [R, C] from the start of its trajectory, without any measurement."""
     found = engine.filtered(vector, seen=np.zeros_like(engine.problem.valued))
