@@ -38,7 +38,10 @@ observe x
 def member(channel: ChannelRecord, k: float) -> MemberResult:
     """What is asked of a member here."""
     known = {"channels": {"x": channel}, "constants": {"k": k}, "sd": {"k": 1.0}}
-    found = SimpleNamespace(tied=[], notes=[], vanished=frozenset(), misjudged=frozenset(), finished=True, **known)
+    none = frozenset[str]()
+    found = SimpleNamespace(
+        tied=[], notes=[], vanished=none, misjudged=none, misjudged_own=none, finished=True, **known
+    )
     return cast(MemberResult, found)
 
 

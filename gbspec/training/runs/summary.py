@@ -97,6 +97,8 @@ class MemberResult:
     """and those that have no interval since they follow from these."""
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
+    misjudged_own: frozenset[tuple[str, str]] = frozenset()
+    """The same of constants of single trajectories, with the labels of these."""
     at_most: dict[str, float] = field(default_factory=dict)
     """Standard deviations with which constants whose curvature is no measure count in predictions, which need finite
     ones; 0: as known."""
