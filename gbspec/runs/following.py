@@ -26,13 +26,15 @@ def how_followed(r2: float, records: Iterable[ChannelRecord] = ()) -> Literal["w
     """How whole solutions with this R² follow a channel; one that is not a number is that of solutions that do not.
 
     Where residuals are not correlated with the next ones, by the `records` of the members, what is left is noise,
-    however much it is, and solutions that are better than the mean follow the data in part.
+    however much it is, and solutions that are better than the mean follow the data in part. So do those that follow
+    them to the stated noise (`as_stated`).
     """
     if r2 >= FOLLOWED:
         return "well"
     known = list(records)
     noise = bool(known) and all(_uncorrelated(one) for one in known)
-    return "in part" if r2 >= LOST or (noise and r2 > 0) else "badly"
+    stated = bool(known) and all(one.as_stated for one in known)
+    return "in part" if r2 >= LOST or (noise and r2 > 0) or stated else "badly"
 
 
 def autocorrelated(

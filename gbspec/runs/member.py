@@ -66,7 +66,8 @@ class ChannelRecord:
     share of the values that count. `outliers` is the number of residuals far from all others, if these leave most of
     the sum of squares. `lack_of_fit` is the probability that averages of replicates are so far from the solutions by
     the error of measurement that replicates show; None without replicates. `censored` of the `values` are limits, which
-    `r2` does not count, and so many `averages` are of replicates; None where there are none.
+    `r2` does not count, and so many `averages` are of replicates; None where there are none. `as_stated` is True where
+    whole solutions follow the values to the noise that model or table state, so that `r2` says nothing against them.
     """
 
     r2: float | None
@@ -83,6 +84,7 @@ class ChannelRecord:
     lack_of_fit: float | None = field(default=None, metadata=OMITTED)
     censored: int | None = field(default=None, metadata=OMITTED)
     averages: int | None = field(default=None, metadata=OMITTED)
+    as_stated: bool | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

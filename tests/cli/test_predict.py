@@ -94,6 +94,12 @@ def test_training_trajectories_are_recognised_by_content(place: Path, here: Path
     made = json.loads(call("predict", place / "run", "renamed.csv", "-o", "p.csv", "--json").stdout)
     assert {one["start"] for one in made["trajectories"]} == {"learned"}
     assert set(pl.read_csv("p.csv")["used"]) == {"training"}
+    labels = {one["trajectory"]: one["same_rows_as"] for one in made["trajectories"]}
+    assert labels and all(label == f"renamed{other}" for label, other in labels.items())
+    for table, same in (("renamed.csv", True), (str(place / "old.csv"), False)):
+        said = call("predict", place / "run", table, "-o", "p.csv", "--window", "3").stdout
+        assert ("has the same rows as" in said or "have the same rows as" in said) is same
+        assert ("`renamed1` as `1`" in said) is same and ("part of the training data" in said) is not same
 
 
 def test_rows_without_measurements_are_predicted(place: Path, here: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import gbspec
-from gbspec.runs import ChannelRecord, ConstantRecord
+from gbspec.runs import ChannelRecord, ConstantRecord, how_followed
 from gbspec.training.problem import Bijection, Bijections
 from gbspec.training.runs.constants import (
     at_bounds,
@@ -38,8 +38,9 @@ observe x
 def member(channel: ChannelRecord, k: float) -> MemberResult:
     """What is asked of a member here."""
     known = {"channels": {"x": channel}, "constants": {"k": k}, "sd": {"k": 1.0}}
+    none = frozenset[str]()
     found = SimpleNamespace(
-        tied=[], notes=[], vanished=frozenset(), misjudged=frozenset(), finished=True, likelihood=None, **known
+        tied=[], notes=[], vanished=none, misjudged=none, misjudged_own=none, finished=True, likelihood=None, **known
     )
     return cast(MemberResult, found)
 
@@ -383,3 +384,22 @@ def test_slopes_in_natural_units_are_known_beside_bounds(start: float, value: fl
     beside = maps.inside(u)
     assert (maps.derivative(beside) > 0).all()
     assert maps.to_natural(torch.from_numpy(beside)).numpy() == pytest.approx([value], abs=2e-6)
+
+
+def test_a_constant_at_its_bound_beside_the_stated_noise_is_believed(tmp_path: Path) -> None:
+    """The likeliest rate is 0, and the residuals are the stated noise: a line is nearer by two numbers for it."""
+    x = (1.0078, 0.9728, 0.8382, 1.1782, 1.0853, 1.0854, 1.1238, 1.0449)
+    text = "model d\ntime t from 0\nstate x\nlearn k = 0.3 in [0, 2]\nx' = -k*x\ninitial x = 1\nobserve x"
+    rows = "".join(f"{0.25 + 0.4 * i},{value}\n" for i, value in enumerate(x))
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    (tmp_path / "m.gb").write_text(text + " noise normal(0.1)\n")
+    run = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run
+    assert run.fit.warnings == ("member 0: `k` ended at its bound 0; the data do not need it",)
+    channels = run.fit.members[0].channels
+    assert channels is not None and channels["x"].as_stated
+    assert how_followed(channels["x"].r2 or 0.0, [channels["x"]]) == "in part"
+    (tmp_path / "m.gb").write_text(text + " noise normal(0.02)\n")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "other", effort="low").run.fit
+    assert any("worse than a straight line" in one for one in fit.warnings), (
+        "noise of 0.02 does not make such residuals"
+    )

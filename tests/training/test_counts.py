@@ -318,3 +318,23 @@ def test_a_network_is_learned_from_counts(tmp_path: Path) -> None:
     truth = -2 * poisson.logpmf(values, 60 * np.exp(-0.5 * TIMES)).sum()
     assert found.population.minus2ll < truth + 2
     assert found.population.ridge is not None
+
+
+TWO = """model two
+time t : h from 0
+state x
+learn k = 1.9 in [0.5, 2.5]
+x' = 0
+initial x = k - 1
+observe y = if(t < 1, 25 - 20*x, if(t < 2, 4 - 3.98*x, 50 + 300*x*(1 - x))) noise poisson
+"""
+
+
+def test_minima_of_least_squares_are_judged_by_the_likelihood(tmp_path: Path) -> None:
+    """25 where the model has 5 is as far off in least squares as 0 where it has 4 (counts of at least 1 are the
+    weights), and in -2 log likelihood further by 32.5. From k = 1.9 the likelihood does not lead to 1."""
+    (tmp_path / "m.gb").write_text(TWO)
+    (tmp_path / "d.csv").write_text("t,y\n0.2,25\n0.7,25\n1.2,0\n1.7,0\n2.2,50\n2.7,50\n")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run").run.fit
+    assert fit.constants["k"].value == pytest.approx(1, abs=0.01)
+    assert not any("other constants" in text for text in fit.warnings)

@@ -15,7 +15,8 @@ import gbspec
 from gbspec.runs import FitRecord
 from gbspec.training.population import Objective, PopulationResult, result_at
 from gbspec.training.runs import misjudged, populations
-from gbspec.training.runs.misjudged import held_by_data, misjudged_of_population
+from gbspec.training.runs.deviance import held_by_data
+from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -58,6 +59,30 @@ def test_rates_that_meet_are_not_called_undetermined(tmp_path: Path) -> None:
     assert "`gbspec profile` gives intervals" in said
     assert "`ka` and `ke` have the same value" in said
     assert not any("not determined" in text or "come to rest" in text for text in fit.warnings), fit.warnings
+
+
+def test_rates_of_single_trajectories_that_meet_are_not_called_undetermined(tmp_path: Path) -> None:
+    own = re.sub(r"^(learn .*)$", r"\1 per trajectory", TURNS, flags=re.MULTILINE)
+    (tmp_path / "m.gb").write_text(own)
+    data = oscillating(tmp_path / "d.csv", [1.5, 2.5])
+    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run.fit
+    each = fit.constants["ka"].per_trajectory
+    assert each is not None and all(one.interval is None for one in each.values())
+    (said,) = [text for text in fit.warnings if "`ka`" in text]
+    assert "`ka` of `0`, `1`; `ke` of `0`, `1`" in said and "no interval: the curvature at the estimate" in said
+
+
+def test_open_constants_of_single_trajectories_are_told(tmp_path: Path) -> None:
+    """The second trajectory begins at 0, where no rate shows."""
+    text = "model m\nstate x in [0, 2]\nlearn k = 1 in [0.01, 10] per trajectory\nx' = -k*x\nobserve x\n"
+    (tmp_path / "m.gb").write_text(text)
+    random, lines = np.random.default_rng(1), ["trajectory,t,x"]
+    for label, size in (("a", 1.0), ("b", 0.0)):
+        noise = 0.02 * random.standard_normal(8)
+        lines += [f"{label},{t},{size * np.exp(-t / 2) + e * (t > 0):.4f}" for t, e in enumerate(noise)]
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    assert any("the 90 % interval of `k` of `b` covers its bounds" in text for text in fit.warnings), fit.warnings
 
 
 Asked = tuple[MemberResult, Objective, PopulationResult]

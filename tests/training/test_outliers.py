@@ -44,6 +44,26 @@ def test_what_is_offered_can_be_fitted(tmp_path: Path) -> None:
     assert not any("far from all others" in text for text in fit.warnings)
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("x' = -k*x", "learn c = 1 per trajectory\nx' = -k*x - c"),
+        ("state x = 1", "state x\ninitial x learn"),
+        ("state x = 1", "state x = 1\nstate y in [0, 2]\ny' = -k*y"),
+        ("x' = -k*x", "x' = -k*x\ndiffusion x = 0.1"),
+        ("observe x", "observe x noise lognormal(0.1)"),
+        ("", ""),
+    ],
+)
+def test_a_noise_that_cannot_be_fitted_is_not_offered(before: str, after: str) -> None:
+    """Student's noise is part of a marginal likelihood: it takes no values and no starts of single trajectories that
+    have no distribution."""
+    model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n".replace(before, after))
+    channels = {"x": ChannelRecord(0.9, 0.0, values=200)}
+    (said,) = said_of_outlying(channels, {"x": Outlying((Place("a", 3.0, 3.0, 1),))}, model, {"x": 0.1})
+    assert "leave this cell empty" in said and ("student" in said) is (before == "")
+
+
 def test_large_residuals_in_successive_rows_are_no_outliers(tmp_path: Path) -> None:
     (tmp_path / "decay.gb").write_text(DECAY)
     data = table(0.0)

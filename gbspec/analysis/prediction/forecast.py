@@ -22,7 +22,7 @@ from gbspec.analysis.prediction.members import MemberPredictions
 from gbspec.analysis.prediction.moving_jumps import said_of_moving_jumps
 from gbspec.analysis.prediction.nearby import hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import ORIGINS, Start
+from gbspec.analysis.prediction.solutions import ALIKE, ORIGINS, Start, labels_of
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import window_rows
 from gbspec.arrays import Array, Mask
@@ -63,6 +63,7 @@ class PredictedTrajectory:
     `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
     are multiplicative, `counted` [V] those that are counts; `quantile` is half their width in standard deviations.
+    `alike` is the label of the trajectory of the training data that has the same rows, if it is another one.
     `below` and `above` [R, V] are the distances of solutions where a row may be on the other side of an event.
     """
 
@@ -81,6 +82,7 @@ class PredictedTrajectory:
     counted: Mask | bool = False
     below: Array | float = 0.0
     above: Array | float = 0.0
+    alike: str = ""
 
     @property
     def low(self) -> Array:
@@ -194,6 +196,7 @@ class Forecast(Tabled):
                 {
                     "trajectory": item.label,
                     "start": item.start.origin,
+                    "same_rows_as": item.alike or None,
                     "estimated": list(item.estimated),
                     "initial": dict(zip(self.states, map(finite, item.start.state), strict=True)),
                     "rows": {use: item.used.count(use) for use in ("training", "window", "predicted")},
@@ -208,10 +211,12 @@ class Forecast(Tabled):
     def __str__(self) -> str:
         lines = [f"{name}: {one}" for name, one in self.errors().items()]
         for origin, words in ORIGINS.items():
-            of_it = [item for item in self.items if item.start.origin == origin]
+            of_it = [item for item in self.items if item.start.origin == origin and not item.alike]
             if of_it:
                 what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
                 lines.append(f"{counted(len(of_it), 'trajectory')}: {words}" + (f" ({what})" if what else ""))
+        alike = [f"`{item.label}` as `{item.alike}`" for item in self.items if item.alike]
+        lines += [f"{counted(len(alike), 'trajectory')}: {ALIKE} ({_some(alike)})"] if alike else []
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -329,19 +334,29 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
     """A warning about trajectories for which a requested window changes nothing."""
     if window is None:
         return []
-    why = {
-        "learned": ("it is part of the training data", "they are part of the training data"),
-        "known": ("the model or the first row gives its start", "the model or the first row gives their starts"),
+    groups = {
+        ("it is part of the training data", "they are part of the training data"): [
+            item.label for item in items if item.start.origin == "learned" and not item.alike
+        ],
+        ("it has the same rows as one of the training data", "they have the same rows as some of the training data"): [
+            item.label for item in items if item.start.origin == "learned" and item.alike
+        ],
+        ("the model or the first row gives its start", "the model or the first row gives their starts"): [
+            item.label for item in items if item.start.origin == "known" and window > 1
+        ],
     }
-    found = []
-    for origin in ("learned", "known") if window > 1 else ("learned",):
-        labels = [item.label for item in items if item.start.origin == origin]
-        if labels:
-            listed = ", ".join(f"`{label}`" for label in labels[:5]) + (", ..." if len(labels) > 5 else "")
-            number, because = counted(len(labels), "trajectory"), why[origin][len(labels) > 1]
-            given = "the window" if window > 1 else "a start at the first row (`--from-start`, or a window of one row)"
-            found.append(f"{given} has no effect on {number} ({listed}): {because}")
-    return found
+    given = "the window" if window > 1 else "a start at the first row (`--from-start`, or a window of one row)"
+    return [
+        f"{given} has no effect on {counted(len(labels), 'trajectory')} ({_some([f'`{label}`' for label in labels])}): "
+        f"{why[len(labels) > 1]}"
+        for why, labels in groups.items()
+        if labels
+    ]
+
+
+def _some(listed: Sequence[str]) -> str:
+    """The first few of some texts."""
+    return ", ".join(listed[:5]) + (", ..." if len(listed) > 5 else "")
 
 
 def uses(rows: int, trained: int, window: int) -> tuple[Use, ...]:
@@ -379,7 +394,10 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
     counted = np.pad(counted_channels(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
+    labels = labels_of(each[0].evaluator.instance)
+    alike = labels[position] if position is not None and start.origin == "learned" and labels else ""
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
                                in_logarithms, failure, each[0].run.fit.quantile, counted,
                                np.min([v.below for v in views], axis=0),
-                               np.max([v.above for v in views], axis=0))  # fmt: skip
+                               np.max([v.above for v in views], axis=0),
+                               "" if alike == item.label else alike)  # fmt: skip

@@ -38,6 +38,8 @@ ORIGINS: dict[Origin, str] = {
     "failed": "no initial state was found from which it can be solved",
 }
 """What is said of trajectories by the origin of their starts."""
+ALIKE = "the same rows as one of the training data that has another label: predicted from what was learned there"
+"""The same of those whose starts were learned of a trajectory with another label."""
 
 RTOL = 1e-8
 IN_LOGARITHMS = 1e-6
@@ -98,7 +100,8 @@ def measured_start(model: Model, item: Trajectory, otherwise: Array) -> Array:
 
 
 def learned_positions(member: GeneratedModule, trajectories: Trajectories, data: DataRecord | None) -> list[int | None]:
-    """The index of each trajectory in the training data of a member, found by content; None for a new one.
+    """The index of each trajectory in the training data of a member, found by content; None for a new one. Of several
+    with the same content it is the one with the same label, if there is one.
 
     The member's `info` holds the fingerprints of its trajectories; without them, a table with the same SHA-256 as the
     training data (`data` of `fit.json`) has the same trajectories in the same order.
@@ -107,10 +110,19 @@ def learned_positions(member: GeneratedModule, trajectories: Trajectories, data:
     count = len(member.weights.get("initial", ()))
     if known:
         table = {content: position for position, content in enumerate(known)}
-        return [table.get(fingerprint(item)) for item in trajectories.items]
+        pairs = zip(known, labels_of(member), strict=False)
+        labelled = {pair: position for position, pair in enumerate(pairs)}
+        contents = [fingerprint(item) for item in trajectories.items]
+        named = zip(contents, (item.label for item in trajectories.items), strict=True)
+        return [labelled.get(pair, table.get(pair[0])) for pair in named]
     recorded = "" if data is None else data.sha256
     same = bool(recorded) and trajectories.sha256 == recorded and count == len(trajectories)
     return [i if same else None for i in range(len(trajectories))]
+
+
+def labels_of(member: GeneratedModule) -> Sequence[str]:
+    """The labels of the trajectories of a member's training data; none in runs of old versions."""
+    return tuple(map(str, member.info.get("labels") or ()))
 
 
 def continued_positions(

@@ -13,6 +13,8 @@ SAME = 1e-3
 """Objectives of the same minimum differ by less than this, relatively."""
 APART = 0.2
 """Two minima are different where a constant differs by more than this, relatively."""
+ALIKE = 1.0
+"""The data do not tell maxima apart whose -2 log likelihood differs by less."""
 EQUALLY_WELL = "other constants fit the data equally well"
 """What a warning of them begins with."""
 
@@ -24,8 +26,8 @@ def indistinct(count: int) -> float:
 
 
 def unclear(count: int) -> float:
-    """That by which the data do not tell two minima apart: 1 in -2 log likelihood."""
-    return math.expm1(1 / count)
+    """That by which the data do not tell two minima apart: `ALIKE` in -2 log likelihood."""
+    return math.expm1(ALIKE / count)
 
 
 def no_rise(count: int) -> float:
@@ -43,18 +45,23 @@ def nearest(places: Array, declared: Array) -> int:
     return int(np.argmin(np.linalg.norm(places - declared, axis=1)))
 
 
+def listed(names: Sequence[str], values: Array) -> str:
+    """Constants [k] with their names, for a text."""
+    return ", ".join(f"{name} {value:.3g}" for name, value in zip(names, values, strict=True))
+
+
 def said_of_others(told: Sequence[tuple[str, float]], count: int) -> str:
     """A warning of other constants, each with the rise of -2 log likelihood there; empty where there are none."""
     if not told:
         return ""
     far = max(rise for _, rise in told) > no_rise(count)
-    listed = [f"{text} (-2 log likelihood higher by {rise:.2g})" if far else text for text, rise in told]
+    each = [f"{text} (-2 log likelihood higher by {rise:.2g})" if far else text for text, rise in told]
     taken = (
         "The best one was taken, but the data do not rule the others out, and intervals do not contain them"
         if far
         else "The one nearest to the declared starting values was taken"
     )
     return (
-        f"{EQUALLY_WELL}: {'; or '.join(listed)}. {taken}; narrower bounds, a prior or a starting value say which is "
+        f"{EQUALLY_WELL}: {'; or '.join(each)}. {taken}; narrower bounds, a prior or a starting value say which is "
         "meant"
     )

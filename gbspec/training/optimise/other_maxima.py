@@ -19,7 +19,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
-from gbspec.training.optimise.equal import differ, nearest, no_rise, said_of_others
+from gbspec.training.optimise.equal import ALIKE, differ, listed, nearest, no_rise, said_of_others
 from gbspec.training.optimise.exchanges import exchanged, exchanges
 from gbspec.training.optimise.stage import Outcome, Stage, State, scalar
 from gbspec.training.problem import Bijections
@@ -39,8 +39,6 @@ SLOW = 0.1
 CLEARLY = 10.0
 """A maximum that is higher by less, in -2 log likelihood, is taken only if it is nearer to the declared values: of two
 rates that may be exchanged the likelier ones may be those that nobody means (a drug absorbed for days)."""
-ALIKE = 1.0
-"""The data do not tell maxima apart whose -2 log likelihood differs by less."""
 LEFT = (
     "where this fit was before; that is a maximum too. Narrower bounds or a prior say which is meant, where more is "
     "known than the data tell"
@@ -254,7 +252,7 @@ class OtherMaxima:
         return f"{others or 'no'} other as high where constants exchange their roles"
 
     def _text(self, values: Array) -> str:
-        return ", ".join(f"{name} {value:.3g}" for name, value in zip(self.of.names, values, strict=True))
+        return listed(self.of.names, values)
 
     def _loss(self, state: State) -> float:
         """The objective as a mean over the values."""

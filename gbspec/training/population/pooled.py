@@ -98,17 +98,18 @@ class Pooled:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One step of the inner stage."""
-        inner = {name.removeprefix(INNER): value for name, value in state.items() if name.startswith(INNER)}
-        outcome = self.stage.step(inner, iteration)
+        outcome = self.stage.step(self.inner(state), iteration)
         note = outcome.note
         if note and self.parameters.model.distributed:
-            note = f"with the same constants for all trajectories, where this fit began, {note}"
+            note = f"by least squares with the same constants for all trajectories, where this fit began, {note}"
         return replace(outcome, state=self._whole(outcome.state, state["theta"]), note=note)
 
+    def inner(self, state: State) -> State:
+        """The state of the inner stage."""
+        return {name.removeprefix(INNER): value for name, value in state.items() if name.startswith(INNER)}
+
     def _whole(self, inner: State, theta: Array) -> State:
-        return {f"{INNER}{name}": value for name, value in inner.items()} | {
-            "theta": self._theta(inner["theta"], theta)
-        }
+        return {f"{INNER}{name}": value for name, value in inner.items()} | {"theta": self.theta(inner["theta"], theta)}
 
     def vector(self, theta: Array) -> Array:
         """The pooled vector for a population's one: medians over the trajectories."""
@@ -124,7 +125,7 @@ class Pooled:
         weights = {name: value.numpy() for name, value in whole.weights(torch.from_numpy(theta)).items()}
         return own.vector(weights, values)
 
-    def _theta(self, pooled: Array, before: Array) -> Array:
+    def theta(self, pooled: Array, before: Array) -> Array:
         """The population's vector: medians and individuals at the pooled values, noises from the residuals."""
         whole, own = self.parameters, self.engine.parameters
         out = before.copy()

@@ -31,6 +31,7 @@ from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.cutting import only_in_jumps
 from gbspec.training.recipe.finer import HALVINGS
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
+from gbspec.training.recipe.rivals import JudgedSearch
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -88,7 +89,9 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Reached]
     def search(reached: Reached) -> Stage:
         engine, forced = (context.engine(pooled, blend) for blend in (0.0, 1.0))
         found = Search(engine, forced, context.seed, patience, finer=lambda: context.engine(pooled, 0.0, 0.5))
-        return Pooled(found, engine, parameters)
+        if context.model.distributed:
+            return Pooled(found, engine, parameters)
+        return JudgedSearch(found, engine, parameters, likelihoods.compared(reached))
 
     def fitted(name: StageName) -> Planned:
         total = most_iterations(name, effort)
@@ -158,16 +161,19 @@ class _Likelihoods:
         least squares has looked over the whole ranges."""
 
         def made(reached: Reached) -> OtherMaxima:
-            fit = self._maximised(StageName.MARGINAL, *reached.begun)
-            of = Exchanged(fit, lambda: self._objective(*reached.begun, StageName.FINER))
             taken = reached.iterations.get(StageName.MARGINAL, 0)
-            return OtherMaxima(StageName.OTHER_MAXIMA, self._most, of, taken)
+            return OtherMaxima(StageName.OTHER_MAXIMA, self._most, self.compared(reached), taken)
 
         def possible(reached: Reached) -> bool:
             known = self._context.model.distributed and not self._parameters.n_weights
             return bool(known) and reached.maximum and made(reached).possible(reached.theta)
 
         return Planned(StageName.OTHER_MAXIMA, self._most, made, possible=possible)
+
+    def compared(self, reached: Reached) -> Exchanged:
+        """The likelihood, as one whose maxima are compared."""
+        fit = self._maximised(StageName.MARGINAL, *reached.begun)
+        return Exchanged(fit, lambda: self._objective(*reached.begun, StageName.FINER))
 
     def finer(self, number: int) -> Planned:
         """The same at half the step (adaptive: a tenth of the tolerance), where that changes the likelihood."""

@@ -31,6 +31,8 @@ NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
 COVERED = 0.9
 """An interval that covers this fraction of the bounds says no more than they do."""
+NAMED = 5
+"""So many labels of trajectories are listed."""
 SPELLED_OUT = 2
 """So many pairs and groups of correlated constants have a warning each; more of them share one."""
 EXACT = 1e-20
@@ -218,6 +220,37 @@ def _not_determined(found: Sequence[tuple[str, tuple[float, float]]]) -> list[st
     ]
 
 
+def undetermined_own(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
+    """A warning of constants of single trajectories, without a distribution, whose intervals cover their bounds."""
+    found = dict[str, list[str]]()
+    for k in model.learnables:
+        record = constants.get(k.name) if k.per_trajectory and k.distribution is None else None
+        each = (record.per_trajectory or {}) if record is not None else {}
+        labels = [label for label, one in each.items() if covers(k.individual, one.interval)]
+        found |= {k.name: labels} if labels else {}
+    if not found:
+        return []
+    single = sum(map(len, found.values())) == 1
+    whose, their, values = ("interval", "its", "value") if single else ("intervals", "their", "values")
+    return [
+        f"the 90 % {whose} of {listed_own(found)} {'covers' if single else 'cover'} {their} bounds: by the curvature "
+        f"at the estimate, from which intervals are computed, these data do not determine {their} {values}. A prior, a "
+        "value (`const`) or one value for all trajectories helps, or measurements of what they act on"
+    ]
+
+
+def listed_own(found: Mapping[str, Sequence[str]]) -> str:
+    """Constants with the labels of the trajectories in which something holds."""
+    each = [f"`{name}` of {_labels(labels)}" for name, labels in found.items()]
+    return "; ".join(each)
+
+
+def _labels(labels: Sequence[str]) -> str:
+    """Labels of trajectories, not all where there are many."""
+    listed = ", ".join(f"`{label}`" for label in labels[:NAMED])
+    return listed + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
+
+
 def said_of_constants(
     model: Model,
     constants: Mapping[str, ConstantRecord],
@@ -230,7 +263,8 @@ def said_of_constants(
     at_limits = said_of_limits(model, ended, results)
     meant = [one for one in ended if one[1] not in results[one[0]].vanished]
     known = {name: text for (_, name), text in at_limits.items()}
-    unclear = undetermined(model, constants, known) if len(astray) < len(results) else []
+    followed = len(astray) < len(results)
+    unclear = [*undetermined(model, constants, known), *undetermined_own(model, constants)] if followed else []
     beside = {
         (member, name): results[member].constants[name]
         for member, name, bound in meant
@@ -271,7 +305,7 @@ def unsettled(
 ) -> list[str]:
     """Warnings of constants that alone of all have no interval, and for no reason that is told elsewhere: shared ones,
     and those of single trajectories."""
-    own = _unsettled_own(constants)
+    own = _unsettled_own(constants, {one for result in results.values() for one in result.misjudged_own})
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
     told = " ".join(text for one in results.values() for text in (*one.tied, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
@@ -295,18 +329,18 @@ def _beside(one: Bijection, value: float, bound: float) -> bool:
     return abs(value - bound) < NEARBY * abs(bound) if one.logarithmic else one.distance(value, bound) < CLOSE
 
 
-def _unsettled_own(constants: Mapping[str, ConstantRecord]) -> list[str]:
-    """A warning for each constant per trajectory that has an interval in some trajectories alone."""
+def _unsettled_own(constants: Mapping[str, ConstantRecord], explained: AbstractSet[tuple[str, str]]) -> list[str]:
+    """A warning for each constant per trajectory that has an interval in some trajectories alone; of those that have
+    none for a reason that is `explained` elsewhere, by name and label, nothing is said."""
     out = []
     for name, record in constants.items():
         each = record.per_trajectory or {}
-        without = [label for label, one in each.items() if one.sd is None]
+        without = [label for label, one in each.items() if one.sd is None and (name, label) not in explained]
         if without and len(without) < len(each):
-            listed = ", ".join(f"`{label}`" for label in without[:5]) + (", ..." if len(without) > 5 else "")
             out.append(
-                f"`{name}` has no interval in {len(without)} of {len(each)} trajectories ({listed}): the fit has not "
-                "come to rest there (a next step would be longer than the standard deviation), as where a value lies "
-                "at a bound or the rows hardly show it. A prior helps, or one value for all trajectories"
+                f"`{name}` has no interval in {len(without)} of {len(each)} trajectories ({_labels(without)}): the fit "
+                "has not come to rest there (a next step would be longer than the standard deviation), as where a "
+                "value lies at a bound or the rows hardly show it. A prior helps, or one value for all trajectories"
             )
     return out
 

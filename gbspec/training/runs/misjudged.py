@@ -8,73 +8,24 @@ fit with each of them held further and further on the way to its bounds, and all
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 
-import numpy as np
-
 from gbspec.arrays import Array
-from gbspec.diagnostics import ComputationError
 from gbspec.ir import Learnable, Model
-from gbspec.training.engines import TorchEngine, residual_vector
 from gbspec.training.population import LOWER, Counted, Objective, Point, PopulationResult, SpentError, with_held
-from gbspec.training.problem import Bijections, Parameters
-from gbspec.training.recipe import Context, only_in_jumps, step_fraction
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context, only_in_jumps
 from gbspec.training.runs.constants import EXACT, at_bounds, covers, half_width, inside_bounds
-from gbspec.training.runs.summary import MemberResult, whole_solutions
-from gbspec.training.runs.tied import LARGEST, penalised, refitted
-from gbspec.training.runs.verdict import widening
+from gbspec.training.runs.deviance import Deviance, Held, Rise, held_by_data
+from gbspec.training.runs.misjudged_own import open_own, taken_own, taken_with_shared
+from gbspec.training.runs.summary import MemberResult
 
-WAYS = (0.05, 0.12, 0.25, 0.5, 0.75, 0.95)
-"""The parts of the way to its bounds, on their scale, that a constant is moved, until the fit is clearly worse."""
 EQUAL = 0.05
 """Two constants of one unit that differ by a smaller part may be two that can be exchanged."""
 EVALUATIONS = 240
 """Values, gradients and curvatures of a marginal likelihood that all constants of a fit may take together; a constant
 that they do not decide is called open."""
-
-Rise = Callable[[float], float]
-"""By how much the deviance is higher with the constant held at a value, at least; minus infinity if not known."""
-
-
-@dataclass(frozen=True)
-class Held:
-    """A constant that the data hold: the values at which the fit is clearly worse."""
-
-    learnable: Learnable
-    estimate: float
-    worse: tuple[float, ...]
-
-    def spread(self, half: float) -> float:
-        """The standard deviation with which an interval, of `half` of them to either side, ends at these values."""
-        return math.fsum(abs(value - self.estimate) for value in self.worse) / (len(self.worse) * half)
-
-
-def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: float) -> Held | None:
-    """The constant, if what the deviance leaves it, up to the threshold, is clearly less than its bounds do."""
-    low, high, log = learnable.range.low, learnable.range.high, learnable.range.logarithmic
-
-    def towards(bound: float, way: float) -> float:
-        if log and value * bound > 0:
-            return float(value * (bound / value) ** way)
-        return value + way * (bound - value)
-
-    bounds, nearest = (low, high), [towards(low, WAYS[0]), towards(high, WAYS[0])]
-    ends, worse = [low, high], list[float]()
-    for side, bound in enumerate(bounds):
-        for place in (towards(bound, way) for way in WAYS):
-            nearest[side] = place
-            if covers(learnable, (nearest[0], nearest[1])):
-                return None  # whatever further places say
-            if rise(place) > threshold:
-                ends[side] = place
-                worse.append(place)
-                break
-        nearest[side] = ends[side]
-        if not covers(learnable, (ends[0], ends[1])):
-            return Held(learnable, value, tuple(worse))
-    return None
 
 
 def without_misjudged(
@@ -86,34 +37,16 @@ def without_misjudged(
     if parameters.n_weights or model.diffusions or model.marginal or not result.loss > EXACT:
         return []
     shared = [model.learnables[i] for i in parameters.shared]
-    open_ones = _open(result, model, shared)
-    if not open_ones:
+    open_ones, own = _open(result, model, shared), open_own(result, model)
+    deviance = Deviance.of(result, context, parameters, theta, stages) if open_ones or own else None
+    if deviance is None:
         return []
-    blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
-    engine = context.engine(parameters, blend, step_fraction(stages))
-    large = len(residual_vector(engine, theta)) * parameters.size > LARGEST
-    if large or (model.delays and isinstance(engine, TorchEngine)):
-        return []
-    target, variance = penalised(context, engine, theta)
-    least = target.value(theta)
-
-    def rise_of(place: int) -> Rise:
-        def rise(value: float) -> float:
-            column, moved = parameters.n_weights + place, theta.copy()
-            moved[column] = Bijections.of((shared[place],)).from_natural(np.array([value]))[0]
-            try:
-                rest = refitted(target, moved, column, variance)
-            except (ComputationError, np.linalg.LinAlgError):
-                return -math.inf
-            return 2 * (rest.objective - rest.promised - least) / variance
-
-        return rise
-
-    threshold = (half_width([result]) * widening(result.channels or {})) ** 2
-    names = [k.name for k in shared]
-    each = (held_by_data(k, result.constants[k.name], rise_of(names.index(k.name)), threshold) for k in open_ones)
+    each = (deviance.held(k, parameters.n_weights + shared.index(k), result.constants[k.name]) for k in open_ones)
     found = [one for one in each if one is not None]
-    return _taken(result, model, found)
+    said = _taken(result, found)
+    if parameters.n_shared:
+        return [*said, *taken_with_shared(result, own if said else [])]
+    return [*said, *taken_own(result, deviance, own)]
 
 
 def misjudged_of_population(result: MemberResult, objective: Objective, found: PopulationResult) -> list[str]:
@@ -149,7 +82,7 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
     open_ones = _open(result, model, [k for k in model.learnables if k.name in places])
     each = (held_by_data(k, result.constants[k.name], rise_of(k.name), threshold) for k in open_ones)
     held = [one for one in each if one is not None]
-    said = _taken(result, model, held)
+    said = _taken(result, held)
     return [*said, *(_of_lower(name, *one) for name, one in lower.items())]
 
 
@@ -173,9 +106,8 @@ def _open(result: MemberResult, model: Model, learnables: Iterable[Learnable]) -
     return [k for k in learnables if covers(k, interval(k))]
 
 
-def _taken(result: MemberResult, model: Model, held: Sequence[Held]) -> list[str]:
-    """Takes their standard deviations from constants that the data hold, and from those of single trajectories that are
-    as open by the same curvature; a sentence of them."""
+def _taken(result: MemberResult, held: Sequence[Held]) -> list[str]:
+    """Takes their standard deviations from constants that the data hold; a sentence of them."""
     if not held:
         return []
     names = [one.learnable.name for one in held]
@@ -183,11 +115,6 @@ def _taken(result: MemberResult, model: Model, held: Sequence[Held]) -> list[str
     result.sd |= dict.fromkeys(names, math.nan)
     result.misjudged |= frozenset(names)
     result.at_most |= {one.learnable.name: one.spread(half_width([result])) for one in held}
-    own = [k.individual for k in model.learnables if k.per_trajectory and k.distribution is None]
-    for j, learnable in enumerate(own if result.own_sd.shape[1] == len(own) else []):
-        for i, (value, sd) in enumerate(zip(result.own[:, j], result.own_sd[:, j], strict=True)):
-            if math.isfinite(sd) and covers(learnable, inside_bounds(learnable, value, sd, half_width([result]))):
-                result.own_sd[i, j] = math.nan
     verb = "has" if len(held) == 1 else "have"
     tried = ", or ".join(f"{one.learnable.name} = {' or '.join(f'{value:.3g}' for value in one.worse)}" for one in held)
     said = (

@@ -8,6 +8,7 @@ that the measurement was made before the change, and the input written after it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -162,7 +163,7 @@ def said_of_outlying(
             together = ", in rows that follow one another" if one.together else ""
             out.append(begin + together + _NOT_FOLLOWED + (_FAST if not model.networks else ""))
         else:
-            out.append(begin + _alone(channel.name, count, model, rmse))
+            out.append(begin + _alone(channel, count, model, rmse, bool(followed.censored)))
     return out
 
 
@@ -201,14 +202,24 @@ _FAST = (
 )
 
 
-def _alone(channel: str, count: int, model: Model, rmse: Mapping[str, float]) -> str:
-    start = rounded(0.3 * rmse.get(channel, float("nan")))
-    # Not offered together with events and delays.
-    student = (
-        ""
-        if model.events or model.delays
-        else f", or write `observe {channel} … noise student(s_{channel}, 4)` with `learn s_{channel} = {start} > 0`"
+def _student(channel: Channel, model: Model, rmse: float) -> str:
+    """The noise with heavy tails that may be written too; empty where the language or the fit does not take it, or
+    where noise is in proportion to values."""
+    measured = {one.state for one in model.channels}
+    starts = (
+        state.initial.kind == "learned" or (state.initial.kind == "measured" and i not in measured)
+        for i, state in enumerate(model.states)
     )
+    own = any(k.per_trajectory and k.distribution is None for k in model.learnables)
+    in_proportion = channel.noise is not None and channel.noise.kind == "lognormal"
+    if model.events or model.delays or model.diffusions or own or in_proportion or any(starts):
+        return ""
+    name = channel.name
+    return f", or write `observe {name} … noise student(s_{name}, 4)` with `learn s_{name} = {rounded(0.3 * rmse)} > 0`"
+
+
+def _alone(channel: Channel, count: int, model: Model, rmse: Mapping[str, float], censored: bool) -> str:
+    student = _student(channel, model, rmse.get(channel.name, math.nan)) if not censored else ""
     if count == 1:
         error, row, cells = "it is a wrong value (an outlier)", "it", "this cell"
         moves = "a wrong value moves the fit and widens its intervals"

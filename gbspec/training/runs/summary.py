@@ -37,6 +37,7 @@ from gbspec.training.recipe import (
 from gbspec.training.runs.moved_starts import moved_starts
 from gbspec.training.runs.negative_states import negative_states
 from gbspec.training.runs.outlying import Outlying, outlying_rows
+from gbspec.training.runs.stated import to_stated_noise
 from gbspec.training.stages import StageName
 
 REPLICATED = 3
@@ -97,6 +98,8 @@ class MemberResult:
     """and those that have no interval since they follow from these."""
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
+    misjudged_own: frozenset[tuple[str, str]] = frozenset()
+    """The same of constants of single trajectories, with the labels of these."""
     at_most: dict[str, float] = field(default_factory=dict)
     """Standard deviations with which constants whose curvature is no measure count in predictions, which need finite
     ones; 0: as known."""
@@ -128,12 +131,11 @@ def summarise(
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
     followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
-    lacking = (noise_of.lack_of_fit(column, i) for i, column in enumerate(problem.valued.T))
     outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items)
-    channels = {
-        name: replace(one, lack_of_fit=p, outliers=outlying[name].rows if name in outlying else None)
-        for (name, one), p in zip(followed.items(), lacking, strict=True)
-    }
+    tabled = _beside_tabled(noise_of, problem, model)
+    channels = _beside_noise(problem, followed, noise_of, outlying)
+    if noise_of.share is not None:  # the noise is that of residuals of whole solutions
+        channels |= to_stated_noise(model, channels, noise, tabled, noise_of.freedom)
     lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
     return MemberResult(
         context.seed,
@@ -160,9 +162,23 @@ def summarise(
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
         freedom=None if model.marginal else noise_of.freedom,
-        tabled=_beside_tabled(noise_of, problem, model),
+        tabled=tabled,
         outlying=outlying,
     )
+
+
+def _beside_noise(
+    problem: Problem,
+    followed: Mapping[str, ChannelRecord],
+    noise_of: _Noise,
+    outlying: Mapping[str, Outlying],
+) -> dict[str, ChannelRecord]:
+    """The records of channels with what replicates and outliers say of their noise."""
+    lacking = (noise_of.lack_of_fit(column, i) for i, column in enumerate(problem.valued.T))
+    return {
+        name: replace(one, lack_of_fit=p, outliers=outlying[name].rows if name in outlying else None)
+        for (name, one), p in zip(followed.items(), lacking, strict=True)
+    }
 
 
 def _errors(model: Model, problem: Problem, mean: Array, noise_of: _Noise) -> tuple[dict[str, float], dict[str, float]]:

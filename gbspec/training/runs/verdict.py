@@ -72,7 +72,7 @@ def verdicts(
         remedies = remedies.replace("what may help: ", wider).replace("narrower bounds or ", "")
     out = []
     for name, found in channels.items():
-        if found.r2 is None:
+        if found.r2 is None or found.as_stated:
             continue
         if model is not None and model.diffusions:  # these predict from row to row
             out += [_missed_ahead(name, found)] if worse_ahead(found) else []
@@ -120,9 +120,9 @@ def blown_up(labels: Sequence[str]) -> str:
 
 
 def not_followed(found: ChannelRecord | None) -> bool:
-    """Whether whole solutions follow a channel less well than the best naive predictor: what their residuals look like
-    says nothing of the data then."""
-    if found is None or found.naive is None:
+    """Whether whole solutions follow a channel less well than the best naive predictor, and not to the stated noise:
+    what their residuals look like says nothing of the data then."""
+    if found is None or found.naive is None or found.as_stated:
         return False
     error, of_naive = squared_errors(found)
     return error > of_naive
@@ -147,13 +147,13 @@ def above_stated(
         out += [
             f"the residuals of `{channel.name}` are {times:.2g} times as large as {what}: {why}; intervals do not hold "
             f"then. What may help: {helps}"
-            for times, what in _beside_stated(channel, noise, tabled)
+            for times, what in beside_stated(channel, noise, tabled)
             if times > ABOVE
         ][:1]
     return out
 
 
-def _beside_stated(
+def beside_stated(
     channel: Channel, noise: Mapping[str, float], tabled: Mapping[str, float] | None
 ) -> list[tuple[float, str]]:
     """How many times as large as what table and model state the residuals of a channel are, and what that is."""
@@ -189,7 +189,7 @@ def below_stated(
             continue
         left = OF_MEDIAN * freedom * (found.values or 0) / counted
         # Values with deviations of their own are compared with these: the number in the model is not theirs.
-        times, what = next(iter(_beside_stated(channel, noise, tabled)), (math.nan, ""))
+        times, what = next(iter(beside_stated(channel, noise, tabled)), (math.nan, ""))
         if not 0 < times < 1 / ABOVE or not chdtr(left, left * times**2) <= BY_CHANCE:
             continue
         follows = ", or the learned functions follow the noise" if model.networks else ""

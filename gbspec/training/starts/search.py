@@ -294,15 +294,15 @@ class Search:
 
     def _others(self, minima: State, theta: Array) -> str:
         """A warning of minima that the data do not tell from the one that was taken."""
-        told = [(self._text(one), value) for one, value in self._rivals(minima, theta)]
+        told = [(self._text(one), value) for one, value in self.rivals(minima, theta)]
         if not told:
             return ""
         least = float(minima["values"].min())
         rises = [self.count * math.log(value / least) if least > EXACT else 0.0 for _, value in told]
         return equal.said_of_others([(text, rise) for (text, _), rise in zip(told, rises, strict=True)], self.count)
 
-    def _rivals(self, minima: State, theta: Array) -> list[tuple[Array, float]]:
-        """The minima other than the one that was taken, with their objectives."""
+    def rivals(self, minima: State, theta: Array) -> list[tuple[Array, float]]:
+        """The minima of a state other than the one that was taken, with their objectives."""
         pairs = zip(minima["minima"], minima["values"], strict=True)
         return [(one, float(value)) for one, value in pairs if self._apart(one, theta, self.engine)]
 
