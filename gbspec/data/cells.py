@@ -40,9 +40,11 @@ def numbers(sheet: Sheet, name: str, findings: Findings, limits: bool = False) -
     else:
         findings.error(
             "GB730",
-            f"column `{name}` holds {str(series.dtype).lower()} values where numbers are expected",
+            f"column `{name}` holds {str(series.dtype.base_type()).lower()} values where numbers are expected",
             Cell(sheet.path, None, name),
-            help="write times and values as numbers" if series.dtype.is_temporal() else "",
+            help="write values as numbers, and times as those since the start, in the model's unit of time"
+            if series.dtype.is_temporal()
+            else "",
         )
         return np.full(len(series), np.nan)
     bad = np.flatnonzero(np.isnan(values) & ~missing)

@@ -260,7 +260,7 @@ def _measured(table: Records, known: Array, informative: Mask, findings: Finding
     for cells in channels.values():
         hit[cells.key] = True
     if not hit.any():
-        if not any(d.code in ("GB710", "GB712") for d in findings.errors):
+        if not any(d.code in ("GB710", "GB712", "GB730") for d in findings.errors):
             findings.error(
                 "GB726",
                 "nothing is measured in this table: all cells of its channels are empty",

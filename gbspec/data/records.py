@@ -74,10 +74,11 @@ def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
 
 
 def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> None:
-    """Reports rows without a time, except those whose cell was already reported (a time that is not a number)."""
+    """Reports rows without a time, except those whose cell was already reported (a time that is not a number), or
+    whose column was."""
     reported = [d.place.row or 0 for d in findings.errors if isinstance(d.place, Cell) and d.place.column == column]
-    if len(reported) >= SHOWN:
-        return  # only some of the invalid cells were shown, so that the others look like empty ones
+    if len(reported) >= SHOWN or 0 in reported:
+        return  # others look like empty ones: only some invalid cells were shown, or the column has no numbers
     bad = np.flatnonzero(np.isnan(time) & ~np.isin(sheet.rows, reported))
     for i, notes in shown(bad, "rows"):
         row = int(sheet.rows[i])

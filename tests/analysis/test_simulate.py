@@ -354,6 +354,6 @@ def test_what_cannot_be_solved_is_not_tried_again_where_nothing_is_drawn(monkeyp
         return followed(self, *given, **options)  # type: ignore[arg-type]  # as they were given
 
     monkeypatch.setattr(Evaluator, "followed", counted)
-    with pytest.raises(ComputationError, match="drawn 200 times without success: 200 could not be solved"):
+    with pytest.raises(ComputationError, match="cannot be solved, and nothing in it is drawn: events follow"):
         simulate(subject.evaluator, subject.model, SimulateOptions(1, span=10.0, dt=0.5, sampling="regular"))
     assert count == 2

@@ -76,6 +76,40 @@ def test_a_delayed_event_keeps_the_values_of_its_trigger(tmp_path: Path) -> None
     assert found["y"] == pytest.approx([1, 5, 5])
 
 
+def growing(*events: str, rate: str = "0.5") -> str:
+    """`A`, an amount of 1 in a compartment of size 1 that grows."""
+    species = made.species("A", amount="1", boundary="true")
+    rules = made.rules(C=f"<cn>{rate}</cn>")
+    return made.sbml(made.compartments("1", constant="false"), species, rules, made.happening(*events))
+
+
+def test_a_delayed_concentration_has_the_size_when_it_is_set(tmp_path: Path) -> None:
+    """3 at t = 1.5, where the size is 1.75; the trigger's values are those of the concentration alone."""
+    found = solved(tmp_path, growing(made.event("e", at("0.5"), {"A": "<cn>3</cn>"}, delay("<cn>1</cn>"))))
+    assert found["A"][-1] == pytest.approx(3 * 1.75 / 2)
+
+
+def test_a_concentration_after_its_compartment_has_the_new_size(tmp_path: Path) -> None:
+    first = f"<priority>{made.math('<cn>2</cn>')}</priority>"
+    events = (made.event("c", at("0.5"), {"C": "<cn>4</cn>"}, first), made.event("e", at("0.5"), {"A": "<cn>3</cn>"}))
+    assert solved(tmp_path, growing(*events, rate="0"))["A"] == pytest.approx([1, 3, 3])
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [made.event("e", at("0.5"), {"A": made.apply("plus", "A", "1")}, delay("<cn>1</cn>"))],
+        [
+            made.event("c", at("0.5"), {"C": "<cn>4</cn>"}),
+            made.event("e", at("0.5"), {"A": made.apply("plus", "A", "1")}),
+        ],
+    ],
+)
+def test_a_concentration_of_another_time_than_its_size_is_refused(tmp_path: Path, events: list[str]) -> None:
+    with pytest.raises(UserError, match="the concentration `A` to a value of another time"):
+        import_file(made.stored(tmp_path, growing(*events)), tmp_path / "out")
+
+
 def test_events_at_one_time_see_the_values_before(tmp_path: Path) -> None:
     events = made.happening(
         made.event("e", at("0.5"), {"x": made.apply("plus", "y", "1")}),

@@ -184,11 +184,13 @@ class _Draws:
         return [np.asarray(x0), np.array([drawn.start, drawn.begins]), drawn.condition, drawn.times, *signals, *doses]
 
     def solved(self, index: int, tally: Tally) -> Solved:
-        """Trajectory `index`, drawn until it can be solved and is not rejected; ComputationError after 200 times."""
+        """Trajectory `index`, drawn until it can be solved and is not rejected; ComputationError after 200 times, or if
+        nothing is drawn."""
         random = np.random.default_rng([self.options.seed, index, 0])
         own, solver = Tally(), self.evaluator
         drawing = np.random.default_rng([self.options.seed, index, 3])
         failed: list[Array] = []
+        last, fixed = ComputationError(""), False
         for _ in range(ATTEMPTS):
             drawn = self.plan(index, random)
             if drawn is None:
@@ -200,14 +202,14 @@ class _Draws:
             given: list[Array] = []
             try:
                 given = self._given(drawn) if own.failed and self.individuals is None else []
-                if given and failed and all(map(np.array_equal, given, failed)):
-                    own.fail(own.reason)
-                    continue
+                fixed = bool(given and failed and all(map(np.array_equal, given, failed)))
+                if fixed:
+                    break
                 shaking = np.random.default_rng([self.options.seed, index, 2])
                 solved = solve(solver, self.model, drawn, self.reject, shaking)
             except ComputationError as error:
                 own.fail(error.what)
-                failed = given
+                failed, last = given, error
                 continue
             if isinstance(solved, Region):
                 own.reject(f"`{solved.text}` became true")
@@ -215,6 +217,9 @@ class _Draws:
             tally.rejected += own.rejected
             tally.failed += own.failed
             return solved
+        if fixed:
+            what = f"trajectory {index + 1} cannot be solved, and nothing in it is drawn: {last.what}"
+            raise ComputationError(what, where=last.where, remedy=last.remedy) from last
         raise ComputationError(
             f"trajectory {index + 1} was drawn {ATTEMPTS} times without success: "
             f"{own.failed} could not be solved, {own.rejected} were rejected; the last: {own.reason}",

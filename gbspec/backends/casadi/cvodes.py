@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.backends.casadi.sliding import widened
 from gbspec.backends.casadi.timeline import Segment
 from gbspec.backends.protocol import Casadi
 from gbspec.diagnostics import ComputationError
@@ -51,14 +53,21 @@ class Integrator:
 
     Within a segment, time runs from 0 to 1 and states are divided by their scales, so that one integrator serves all
     segments with the same relative output times, and one absolute tolerance serves all states. `explain` says in words
-    what has no value at a time, a state and inputs.
+    what has no value at a time, a state and inputs. Where no step ends, switches of the right-hand side get a width, if
+    solutions may slide along them (`slides`).
     """
 
-    def __init__(self, rhs: Casadi, names: Sequence[str], explain: Explain | None = None) -> None:
-        self._names, self._explain = tuple(names), explain
-        self._system = _scaled(rhs)
-        self._kept: OrderedDict[tuple[tuple[float, ...], float, float, bool], Casadi] = OrderedDict()
-        self._stiff = False
+    def __init__(self, rhs: Casadi, names: Sequence[str], explain: Explain | None = None, slides: bool = True) -> None:
+        self._names, self._explain, self._may_slide = tuple(names), explain, slides
+        self._rhs, self._system = rhs, _scaled(rhs)
+        self._kept: OrderedDict[tuple[tuple[float, ...], float, float, bool, bool], Casadi] = OrderedDict()
+        self._stiff = self._slides = False
+
+    @cached_property
+    def _widened(self) -> Casadi | None:
+        """The system with a width of its switches; None if it has none."""
+        found = widened(self._rhs) if self._may_slide else None
+        return None if found is None else _scaled(found)
 
     def run(
         self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: InitialValueProblem
@@ -66,6 +75,7 @@ class Integrator:
         """States [n_times, n_states] at `outputs`; the segments cover [begin, outputs[-1]]."""
         states = np.empty((len(outputs), len(x0)))
         states[outputs <= begin] = x0
+        self._slides = False
         self._check(x0, begin)
         x = x0
         for piece in pieces:
@@ -81,26 +91,27 @@ class Integrator:
 
     def _piece(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem) -> Array:
         """States [n, n_states] at `times` in a segment; the last of these times is its end."""
-        try:
-            return self._solve(x, piece, times, problem, self._stiff)
-        except _Stopped:
-            pass
-        if not self._stiff:
-            # Adams' methods take many steps where a problem is stiff; BDF does not, and is used from then on.
+        # Adams' methods take many steps where a problem is stiff; BDF does not, and is used from then on. A solution
+        # that slides along a switch may do so in the next segment of its trajectory too.
+        ways = [(True, True)] if self._slides else [(self._stiff, False), (True, False), (True, True)]
+        for stiff, slides in dict.fromkeys(ways):
+            if slides and self._widened is None:
+                break
             try:
-                found = self._solve(x, piece, times, problem, stiff=True)
+                found = self._solve(x, piece, times, problem, stiff, slides)
             except _Stopped:
-                pass
-            else:
-                self._stiff = True
-                return found
+                continue
+            self._stiff, self._slides = self._stiff or (stiff and not slides), slides
+            return found
         raise self._failure(x, piece, times, problem)
 
-    def _solve(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem, stiff: bool) -> Array:
+    def _solve(
+        self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem, stiff: bool, slides: bool = False
+    ) -> Array:
         """States at `times`. Raises `_Stopped` if CVODES fails or a state is not finite."""
         length = piece.end - piece.begin
         grid = (*((times - piece.begin) / length).tolist()[:-1], 1.0)
-        solver = self._solver(grid, problem, stiff)
+        solver = self._solver(grid, problem, stiff, slides)
         scales = problem.scales
         within = [piece.begin + piece.insets[0], length - sum(piece.insets)]
         parameters = np.concatenate((within, problem.condition, piece.inputs, piece.slopes, problem.constants, scales))
@@ -112,8 +123,8 @@ class Integrator:
             raise _Stopped
         return found
 
-    def _solver(self, grid: tuple[float, ...], problem: InitialValueProblem, stiff: bool) -> Casadi:
-        key = (grid, problem.rtol, problem.atol, stiff)
+    def _solver(self, grid: tuple[float, ...], problem: InitialValueProblem, stiff: bool, slides: bool) -> Casadi:
+        key = (grid, problem.rtol, problem.atol, stiff, slides)
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
@@ -126,7 +137,8 @@ class Integrator:
             "show_eval_warnings": False,
             "disable_internal_warnings": True,
         }
-        self._kept[key] = ca.integrator("trajectory", "cvodes", self._system, 0, list(grid), options)
+        system = self._widened if slides and self._widened is not None else self._system
+        self._kept[key] = ca.integrator("trajectory", "cvodes", system, 0, list(grid), options)
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
         return self._kept[key]
@@ -144,7 +156,7 @@ class Integrator:
         why = "" if self._explain is None else self._explain(last, x, _inputs_at(piece, last), problem)
         return ComputationError(
             "the trajectory cannot be integrated further: "
-            + (why or "it blows up, or the right-hand side is not finite there"),
+            + (why or "it blows up, or the right-hand side is not finite there, or jumps"),
             where=f"after t = {last:.6g}, where {self._state(x)}",
             remedy="change the initial state, shorten the span, or exclude the region (simulate: --reject, --initial)",
         )
@@ -166,8 +178,9 @@ def _inputs_at(piece: Segment, time: float) -> Array:
 
 
 def _scaled(rhs: Casadi) -> Casadi:
-    """The system in scaled time and states; parameters: begin, length, condition, inputs, slopes, constants, scales.
+    """The system in scaled time and states, of a right-hand side that may take the scales too.
 
+    Its parameters are begin, length, condition, inputs, slopes, constants and scales.
     The right-hand side is written out in it: the derivative of a call by the states has terms with those by all other
     arguments, and log(x) of a power x^n times zero is not a number where x is negative.
     """
@@ -178,7 +191,8 @@ def _scaled(rhs: Casadi) -> Casadi:
     p = kind.sym("p", sum(sizes))
     begin, length, condition, inputs, slopes, constants, scales = ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())
     elapsed = length * tau
-    (dx,) = rhs.call([begin + elapsed, scales * y, condition, inputs + slopes * elapsed, constants], True, False)
+    given = [begin + elapsed, scales * y, condition, inputs + slopes * elapsed, constants, scales]
+    (dx,) = rhs.call(given[: rhs.n_in()], True, False)
     empty = kind(0, 1)
     return ca.Function(
         "system",

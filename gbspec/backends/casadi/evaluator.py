@@ -335,7 +335,7 @@ class Evaluator:
     @cached_property
     def _integrator(self) -> Integrator:
         solves = hasattr(self.instance.equations, "blocks")
-        return Integrator(self.rhs, tuple(self.instance.states), self._unsolved if solves else None)
+        return Integrator(self.rhs, tuple(self.instance.states), self._unsolved if solves else None, not solves)
 
     def _unsolved(self, t: float, x: Array, inputs: Array, problem: InitialValueProblem) -> str:
         """Which algebraic equations have no solution at a state or shortly after it, in words; empty for none."""

@@ -121,7 +121,7 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
                 one.priority,
                 one.armed and one.id not in started and not (out.rest is not None and one.id in never),
                 None if one.delay == ZERO else one.delay,
-                one.delay != ZERO and one.early and any(symbols.changes(value) for _, value in values),
+                one.delay != ZERO and one.early and any(map(symbols.changes, one.values.values())),
                 one.delay != ZERO and not one.persistent,
                 description=described(one.element),
                 at=one.at,

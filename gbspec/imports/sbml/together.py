@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import permutations
 
 from gbspec.imports.computing import NotConstantError, value_of
 from gbspec.imports.description import Description, Event
-from gbspec.imports.formulas import ORDERS, Formula, names, replaced
+from gbspec.imports.formulas import ORDERS, Formula, named, names, replaced
+from gbspec.imports.sbml.book import Happening
 from gbspec.imports.sbml.starting import known_values
 from gbspec.imports.sbml.symbols import Symbols
 
 _THRESHOLD = "another event sets a quantity to its threshold, where its trigger is not true, which has no form"
+_SIZE = "it sets the concentration `{}` to a value of another time than its compartment's size, which has no form"
 _RANDOM = "it and another event of the same priority cancel each other in random order, which has no form"
 
 
@@ -24,18 +26,20 @@ def compare_events(symbols: Symbols, out: Description) -> None:
     sources = {one.id: one for one in symbols.book.events}
     known = {name: value for name, value in known_values(out).items() if name in symbols.constants}
     strict = {one.id: [n for n in _strict(one.condition) if symbols.moves(n)] for one in out.events}
-    reads = {one.id: set().union(*(symbols.reached(v)[0] for _, v in one.values)) for one in out.events}
+    reads = {one.id: _reached(symbols, sources[one.id].values.values()) for one in out.events}
     needs = {one.id: symbols.reached(one.condition)[0] for one in out.events}
     sets = {one.id: {state for state, _ in one.values} for one in out.events}
     targets = set().union(*sets.values()) if sets else set()
-    sampled, transient = set(), set()
+    sizes = {one.id: _reached(symbols, _sizes(symbols, sources[one.id]).values()) for one in out.events}
+    sampled, transient, resized = set(), set(), set()
     for first, second in permutations(out.events, 2):
         source, other = sources[second.id], sources[first.id]
         if any(_touches(first, node, known) for node in strict[second.id]):
             symbols.refusing(source)(_THRESHOLD)
         early = source.early and bool(sets[first.id] & reads[second.id])
         cancels = not source.persistent and bool(sets[first.id] & needs[second.id])
-        if not (early or cancels) or _never_together(first, second, symbols, known, targets):
+        resizes = bool(sets[first.id] & sizes[second.id])
+        if not (early or cancels or resizes) or _never_together(first, second, symbols, known, targets):
             continue
         ranks = _rank(first, known), _rank(second, known)
         mutual = cancels and not other.persistent and bool(sets[second.id] & needs[first.id])
@@ -45,10 +49,32 @@ def compare_events(symbols: Symbols, out: Description) -> None:
             continue
         sampled |= {second.id} if early else set()
         transient |= {second.id} if cancels else set()
+        resized |= {second.id} if resizes else set()
     out.events = [
         replace(one, sampled=one.sampled or one.id in sampled, transient=one.transient or one.id in transient)
         for one in out.events
     ]
+    for event in out.events:
+        if event.sampled and (event.after is not None or event.id in resized):
+            _check_sizes(symbols, sources[event.id])
+
+
+def _reached(symbols: Symbols, formulas: Iterable[Formula]) -> set[str]:
+    """The names that formulas depend on."""
+    return set().union(*(symbols.reached(one)[0] for one in formulas))
+
+
+def _sizes(symbols: Symbols, source: Happening) -> dict[str, Formula]:
+    """The sizes by which concentrations that an event sets become amounts."""
+    found = {name: symbols.book.model.getSpecies(name) for name in source.values if name in symbols.amounts}
+    return {name: named(species.getCompartment()) for name, species in found.items()}
+
+
+def _check_sizes(symbols: Symbols, source: Happening) -> None:
+    """Refuses concentrations of another time than the size by which they become amounts: `sampled` is of both."""
+    for name, size in _sizes(symbols, source).items():
+        if symbols.changes(size):
+            symbols.refusing(source)(_SIZE.format(name))
 
 
 def _rank(event: Event, known: Mapping[str, float]) -> float | None:

@@ -102,7 +102,7 @@ class Bijection:
         if self.two_sided:
             inside = np.array(value)
             return float(self._fraction(inside) if bound == self.low else self._rest(inside))
-        return abs(value - bound) / (abs(self.start - bound) or self.scale)
+        return abs(value - bound) / self.unit(bound)
 
     def share(self, value: float, sd: float | None) -> float:
         """A standard deviation as a part of the width of two bounds, on their scale; NaN if it is not known."""
@@ -145,8 +145,12 @@ class Bijection:
         if math.isinf(self.low) and math.isinf(self.high):
             return value
         bound = self.low if math.isfinite(self.low) else self.high
-        least = share * (abs(self.start - bound) or self.scale)
+        least = share * self.unit(bound)
         return max(value, bound + least) if bound == self.low else min(value, bound - least)
+
+    def unit(self, bound: float) -> float:
+        """The distance of the starting value from a single bound, in which distances from it are counted."""
+        return abs(self.start - bound) or self.scale
 
     def _clipped(self, place: Array, share: float) -> float:
         return float(np.clip(place / self.width, share, 1 - share))

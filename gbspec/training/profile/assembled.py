@@ -17,17 +17,16 @@ from gbspec.ir import Model
 from gbspec.runs import ProfileRecord, Run, write_profile
 from gbspec.training.problem import Bijection
 from gbspec.training.profile.agreement import OTHER_BEST, Found, compared
+from gbspec.training.profile.places import Beside, Places, along_entries
 from gbspec.training.profile.possible import of_fit
 from gbspec.training.profile.result import Profile, ProfilePoint
 from gbspec.training.profile.said import said_of_better, said_of_bounds
 from gbspec.training.profile.side import Known, Side, closely
 
-WIDEST = 0.5
-"""Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
-
 ENDED = 2e-3
 """A profile that begins so close to a bound, as a share of the range, begins at it."""
-
+NOTHING = 0.01
+"""Closer to it than this part of the deviation, no value towards it can differ from the estimate."""
 Report = Callable[[float, float], None]
 
 
@@ -47,15 +46,17 @@ class Fitted:
 @dataclass
 class Basis:
     """What a profile is computed from: the constant's `name` and the `column` of its entry in the vector, the
-    `threshold` of the deviance, the `map` of the constant's bounds, the entry's standard `deviation`, the objective's
-    `unit` of the deviance, and the noise (None: the likelihood contains it). `failed` is the value at which nothing
-    could be fitted, by the direction from the estimate."""
+    `threshold` of the deviance, the `map` of the constant's bounds, the entry's standard `deviation`, beside a bound
+    the `part` of the range that it is there, the objective's `unit` of the deviance, and the noise (None: the
+    likelihood contains it). `failed` is the value at which nothing could be fitted, by the direction from the
+    estimate."""
 
     name: str
     column: int
     threshold: float
     map: Bijection
     deviation: float = 0.0
+    part: float = math.inf
     unit: float = 1.0
     noise: float | None = None
     failed: dict[float, float] = field(default_factory=dict)
@@ -64,10 +65,26 @@ class Basis:
         """The deviance of a fit from another one."""
         return (one.objective - best.objective) / self.unit
 
-    def bound(self, begun: Fitted, direction: float) -> float | None:
-        """The bound in a direction, if the fit with which the profile has begun is at it."""
+    def bound(self, value: float, direction: float) -> float | None:
+        """The bound in a direction, if the value with which the profile has begun is at it."""
         bound = self.map.low if direction < 0 else self.map.high
-        return bound if self.map.distance(begun.value, bound) <= ENDED else None
+        return bound if self.map.distance(value, bound) <= ENDED else None
+
+    def beside(self, value: float) -> Beside | None:
+        """The range beside the bound at which the value is with which the profile has begun."""
+        found = [bound for bound in (self.bound(value, -1.0), self.bound(value, 1.0)) if bound is not None]
+        return Beside(self.map, value, found[0]) if found else None
+
+    def places(self, begun: Fitted, direction: float) -> Places | None:
+        """The places in a direction; None if a bound leaves none."""
+        entry, level, value = float(begun.theta[self.column]), math.sqrt(self.threshold), begun.value
+        beside = self.beside(value)
+        if beside is None:
+            return along_entries(entry, level * self.deviation, direction)
+        bound = self.bound(value, direction)
+        if bound is not None and self.map.distance(value, bound) <= NOTHING * min(self.part, 1.0):
+            return None
+        return beside.places(level * self.part, direction)
 
 
 class Profiler(Protocol):
@@ -118,12 +135,14 @@ def _judged(run: Run, found: Profile, profiler: Profiler, narrowed: float) -> Pr
 def _side(profiler: Profiler, best: Fitted, direction: float, most: int, progress: Report | None) -> list[Fitted]:
     """The fits on one side of the estimate, until its crossing of the threshold is known, or `most` are made."""
     basis, found = profiler.basis, {0.0: best}
-    stride = direction * min(math.sqrt(basis.threshold) * basis.deviation, WIDEST)
+    places = basis.places(best, direction)
+    if places is None:
+        return []
     side, outwards = Side(), 0.0
     for _ in range(most):
-        place = side.next
+        place = min(side.next, places.last)
         neighbour = found[min(found, key=lambda one: abs(one - place))]
-        here = profiler.held(float(best.theta[basis.column]) + place * stride, neighbour)
+        here = profiler.held(places.entry(place), neighbour)
         outwards = outwards or here.value - best.value
         if not math.isfinite(here.objective):
             basis.failed[direction] = here.value
@@ -156,7 +175,10 @@ def _assembled(member: int, begun: Fitted, fits: list[Fitted], profiler: Profile
     sides = {"lower": points[at::-1], "upper": points[at:]}
     low, high = (_crossing(side, level) for side in sides.values())
     # Where the fit ended at a bound, the interval does too: nothing lies beyond it.
-    low, high = (basis.bound(begun, -1.0) if low is None else low), (basis.bound(begun, 1.0) if high is None else high)
+    low, high = (
+        (basis.bound(begun.value, -1.0) if low is None else low),
+        (basis.bound(begun.value, 1.0) if high is None else high),
+    )
     slow = sum(not point.converged for point in points)
     if slow:
         low = high = None

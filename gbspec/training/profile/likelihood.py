@@ -43,6 +43,7 @@ from gbspec.training.problem import Bijection, Bijections, Parameters, Problem, 
 from gbspec.training.profile.agreement import narrowing
 from gbspec.training.profile.assembled import Basis, Fitted, Report, profile_from
 from gbspec.training.profile.marginal import profile_of_likelihood
+from gbspec.training.profile.places import Beside
 from gbspec.training.profile.possible import check
 from gbspec.training.profile.refits import AGAIN, WEAK, Follower, Refit, Refits
 from gbspec.training.profile.result import Profile
@@ -136,8 +137,29 @@ class _Profiler:
             self._compare(first, rest.theta)
         noise = math.sqrt(self.variance)
         bounds = Bijection.of(self.model.learnables[self.parameters.shared[self.place]])
-        self.basis = Basis(self.name, self.column, self.threshold, bounds, self.deviation, self.variance / 2, noise)
-        return self._fitted(Refit(rest))
+        self.basis = Basis(self.name, self.column, self.threshold, bounds, self.deviation)
+        self.basis.unit, self.basis.noise = self.variance / 2, noise
+        begun = self._fitted(Refit(rest))
+        beside = self.basis.beside(begun.value)
+        if beside is not None:
+            self.basis.part = self._part_of_range(begun, beside)
+        return begun
+
+    def _part_of_range(self, begun: Fitted, beside: Beside) -> float:
+        """The standard deviation of the constant beside a bound, as a part of its range: by slopes a little further
+        inside, as those at the bound tell nothing."""
+        theta, target = self.found.copy(), self.target
+
+        def inside(entry: float) -> bool:
+            theta[self.column] = entry
+            return target.value(theta) - begun.objective <= self.threshold * self.basis.unit
+
+        distance = beside.near(inside)
+        try:
+            deviation = math.sqrt(self._anchor(theta).variance * self.variance)
+        except np.linalg.LinAlgError:  # the solution or its derivatives are not finite
+            return distance
+        return max(beside.part(float(theta[self.column]), deviation), distance / math.sqrt(self.threshold))
 
     def _freedom(self, problem: Problem, equations: NormalEquations, residuals: Array) -> float:
         """Degrees of freedom that the fit has used; sets the equations' ridge to that of greatest evidence."""

@@ -20,7 +20,7 @@ from gbspec.runs import Run, files
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import Counted, Point, modes_of, with_held
 from gbspec.training.problem import Bijection
-from gbspec.training.profile.assembled import WIDEST, Basis, Fitted, Report, profile_from
+from gbspec.training.profile.assembled import Basis, Fitted, Report, profile_from
 from gbspec.training.profile.result import Profile
 from gbspec.training.recipe import marginal_objective
 from gbspec.training.runs import agreed, restored_fit
@@ -66,6 +66,9 @@ class _OfLikelihood:
         begun = self._begun()
         self.basis.deviation = self._deviation(begun)
         self.estimate = self._fitted(begun, begun.objective, converged=True)
+        beside = self.basis.beside(self.estimate.value)
+        if beside is not None:
+            self.basis.part = beside.part(float(begun.u[self.place]), self.basis.deviation)
         self._points: dict[float, Point] = {float(self.estimate.theta[column]): begun}
 
     def _begun(self) -> Point:
@@ -81,12 +84,12 @@ class _OfLikelihood:
         return point if math.isfinite(found) else self.point
 
     def _deviation(self, begun: Point) -> float:
-        """The standard deviation of the entry by the expected information, if that is known."""
+        """The standard deviation of the entry by the expected information; infinite if that is not known."""
         curvature = self.objective.curvature(begun, self.ridge) / 2
         column, diagonal = self.basis.column, np.diag(curvature)
         variance = float(np.linalg.pinv(curvature, hermitian=True)[column, column])
         known = diagonal[column] > FLAT * diagonal.max() and variance > 0
-        return math.sqrt(variance) if known else WIDEST
+        return math.sqrt(variance) if known else math.inf
 
     def held(self, entry: float, neighbour: Fitted) -> Fitted:
         """The maximum with the parameter's entry at `entry`, from that of a neighbour."""
