@@ -71,6 +71,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         Start,
         Trained,
         said_of_coverage,
+        said_of_defaults,
         said_of_ends,
         said_of_items,
         said_of_states,
@@ -116,6 +117,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     names = (*channels, *(states[i] for i in hidden))
     ahead = any("predicted" in item.used for item in items)
     said = (
+        *said_of_defaults(run, data.items),
         *said_of_items(items, LACKING if ahead and covariance is None else ""),
         *said_of_ends(model, items, hidden), *said_of_states(model, items, tuple(hidden)),
         *(said_of_training(run.fit.members) if ahead else ()),

@@ -44,7 +44,8 @@ class DataRecord:
 
     `path` is as it was given; `absolute` and `relative` (to the run) are the table's place, by which it is found from
     other folders. Data that were in no table are kept in the run, and `path` is empty; `sha256` is of their content.
-    `format`: the form of the table, as for `--format`, if it is no ordinary one.
+    `format`: the form of the table, as for `--format`, if it is no ordinary one. `conditions`: their least and largest
+    values.
     """
 
     path: str
@@ -55,6 +56,7 @@ class DataRecord:
     absolute: str | None = field(default=None, metadata=OMITTED)
     relative: str | None = field(default=None, metadata=OMITTED)
     format: str | None = field(default=None, metadata=OMITTED)
+    conditions: Mapping[str, tuple[float, float]] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import gbspec
 from gbspec.analysis.prediction.forecast import forecast
 from gbspec.data import Trajectories
 from gbspec.runs import ChannelRecord, MemberRecord, said_of_training
@@ -81,3 +82,19 @@ def test_rows_that_an_event_may_pass_have_both_sides_in_their_bands(tmp_path: Pa
     assert np.array_equal(both, passed)
     before = passed & (between < estimate)
     assert np.all(item.low[before, 0] > -0.5), "no further down than a band without the event"
+
+
+def test_conditions_that_have_their_defaults_where_the_training_had_others_are_told(tmp_path: Path) -> None:
+    """A table without the column of a condition was judged as showing something that the model lacks."""
+    (tmp_path / "m.gb").write_text(
+        "model fall\ntime t\ncondition T in [280, 320] = 300\nstate x in [0, 2] = 1\nlearn k = 0.5 in [0.1, 3]\n"
+        "x' = -k*x*exp((T - 300)/20)\ninitial x = 1\nobserve x\n"
+    )
+    rows = [(T, t, np.exp(-0.7 * t * np.exp((T - 300) / 20))) for T in (290, 310) for t in np.linspace(0, 3, 9)]
+    (tmp_path / "d.csv").write_text("trajectory,t,T,x\n" + "".join(f"{T},{t},{T},{x:.6f}\n" for T, t, x in rows))
+    (tmp_path / "n.csv").write_text("trajectory,t,x\n" + "".join(f"{T},{t},{x:.6f}\n" for T, t, x in rows))
+    run = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run")
+    words = "`T` has its default, 300, in all trajectories, as where a table has no column of it; in the training data"
+    for table, said in (("n.csv", True), ("d.csv", False)):
+        for found in (run.predict(tmp_path / table), run.validate(tmp_path / table)):
+            assert any(f"{words} it was 290 to 310" in one for one in found.warnings) is said

@@ -1,3 +1,4 @@
+from .defaults import said_of_defaults as said_of_defaults
 from .estimate import predictions as predictions
 from .followed import missed as missed
 from .followed import said_of_starts as said_of_starts

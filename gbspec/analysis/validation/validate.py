@@ -15,6 +15,7 @@ from gbspec.analysis.prediction import (
     mean_prediction,
     missed,
     predictions,
+    said_of_defaults,
     said_of_groups,
     said_of_starts,
 )
@@ -242,6 +243,7 @@ def validate(
         if not run.model.diffusions:
             check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
+        warnings += said_of_defaults(run, trajectories.items)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
         warnings += said_of_groups(members[0], run.model, trajectories.items, predicted)

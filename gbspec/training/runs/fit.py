@@ -240,7 +240,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions, pat
     return FitRecord(
         gbspec=__version__,
         model=model.name,
-        data=_data_record(trajectories, path),
+        data=_data_record(trajectories, model, path),
         options=options.to_json(),
         versions={"python": platform.python_version(), **{name: version(name) for name in packages}},
         constants={},
@@ -254,18 +254,24 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions, pat
     )
 
 
-def _data_record(trajectories: Trajectories, run: Path) -> DataRecord:
+def _data_record(trajectories: Trajectories, model: Model, run: Path) -> DataRecord:
     rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
     counts = len(trajectories), rows, trajectories.measurements
+    values = np.array([item.condition for item in trajectories.items], dtype=np.float64)
+    each = {one.name: (float(values[:, i].min()), float(values[:, i].max())) for i, one in enumerate(model.conditions)}
+    conditions = each or None
     if not _in_table(trajectories):
-        return DataRecord("", trajectories.sha256 or content_digest(trajectories), *counts)
+        digest = trajectories.sha256 or content_digest(trajectories)
+        return DataRecord("", digest, *counts, conditions=conditions)
     absolute = Path(trajectories.path).resolve()
     try:
         relative: str | None = os.path.relpath(absolute, run.resolve())
     except ValueError:  # on another drive
         relative = None
     form = trajectories.meta.get("format")
-    return DataRecord(trajectories.path, trajectories.sha256, *counts, str(absolute), relative, form)
+    return DataRecord(
+        trajectories.path, trajectories.sha256, *counts, str(absolute), relative, form, conditions=conditions
+    )
 
 
 def _in_table(trajectories: Trajectories) -> bool:
