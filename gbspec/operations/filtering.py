@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from gbspec.analysis import ChannelErrors, Forecast, StepCheck, Use, WorstRow
+    from gbspec.analysis import ChannelErrors, Forecast, PredictedTrajectory, StepCheck, Use, WorstRow
     from gbspec.arrays import Mask
     from gbspec.data import Trajectories
     from gbspec.runs import Run
@@ -71,13 +71,8 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         Start,
         Trained,
         said_of_coverage,
-        said_of_defaults,
-        said_of_ends,
-        said_of_items,
-        said_of_states,
     )
     from gbspec.data import continued
-    from gbspec.runs import said_of_training
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
@@ -115,15 +110,28 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
         )
     channels, states = tuple(c.name for c in model.channels), tuple(s.name for s in model.states)
     names = (*channels, *(states[i] for i in hidden))
+    lacking = LACKING if covariance is None else ""
+    found = Forecast(
+        names, channels, states, tuple(items), 1, _said(run, data, items, hidden, lacking), model.time.name
+    )
+    return replace(found, warnings=(*found.warnings, *said_of_coverage(found.errors())))
+
+
+def _said(
+    run: Run, data: Trajectories, items: Sequence[PredictedTrajectory], hidden: Sequence[int], lacking: str
+) -> tuple[str, ...]:
+    """The warnings of predicted trajectories; `lacking`: what bands of rows that were not used lack."""
+    from gbspec.analysis import said_of_defaults, said_of_ends, said_of_items, said_of_states
+    from gbspec.runs import said_of_training
+
     ahead = any("predicted" in item.used for item in items)
-    said = (
+    return (
         *said_of_defaults(run, data.items),
-        *said_of_items(items, LACKING if ahead and covariance is None else ""),
-        *said_of_ends(model, items, hidden), *said_of_states(model, items, tuple(hidden)),
+        *said_of_items(items, lacking if ahead else ""),
+        *said_of_ends(run.model, items, hidden),
+        *said_of_states(run.model, items, tuple(hidden)),
         *(said_of_training(run.fit.members) if ahead else ()),
-    )  # fmt: skip
-    found = Forecast(names, channels, states, tuple(items), 1, said, model.time.name)
-    return replace(found, warnings=(*said, *said_of_coverage(found.errors())))
+    )
 
 
 def _uses(measured: Mask, window: int | None, trained: int) -> tuple[Use, ...]:

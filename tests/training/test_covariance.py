@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gbspec.analysis import fences, function_bands
-from gbspec.analysis.prediction.displaced import Displaced
+from gbspec.analysis.prediction.displaced import Displaced, variance_of
 from gbspec.analysis.prediction.solutions import Start
 from gbspec.arrays import Array
 from gbspec.backends import load_module
@@ -135,12 +135,13 @@ def test_a_jump_beside_the_estimate_is_no_derivative(edge: float) -> None:
     assert found == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
 
 
-@pytest.mark.parametrize(("edge", "below", "above"), [(0.3, 0.0, 9.4675), (-0.3, -9.4675, 0.0), (2.0, 0.0, 0.0)])
-def test_a_row_that_an_event_may_pass_has_both_sides(edge: float, below: float, above: float) -> None:
+@pytest.mark.parametrize(("edge", "low", "high"), [(0.3, 0.0, 9.4675), (-0.3, -2.4675, 7.0), (2.0, 0.0, 0.0)])
+def test_a_row_that_an_event_may_pass_has_both_sides(edge: float, low: float, high: float) -> None:
     """Where the interval of a constant that moves the event, -0.82 to 0.82, contains the time at which it passes."""
     known = Covariance((), ("a",), 1.0, np.zeros((0, 0)), np.zeros(0), np.zeros((1, 0)), np.array([[0.25]]))
     module = SimpleNamespace(constants=("a",), weights={}, info={}, shapes=dict)
-    displaced = Displaced(module, known, jumping=True, moving={"a": (-0.8225, 0.8225)})  # type: ignore[arg-type]  # what it needs
+    moving = {"a": (-0.8225, 0.8225)}
+    displaced = Displaced(module, known, jumping=True, moving=moving)  # type: ignore[arg-type]  # what it needs
     displaced._displaced = lambda weights, constants: (None, constants)  # type: ignore[method-assign,assignment,return-value]
 
     def solve(_: object, start: Start) -> Array:
@@ -149,10 +150,10 @@ def test_a_row_that_an_event_may_pass_has_both_sides(edge: float, below: float, 
 
     start = Start(np.zeros(0), np.zeros(1), "known")
     here = solve(None, start)
-    variance = displaced.variance(start, here, solve)
-    assert variance == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
-    found = displaced.passed(start, here, variance, solve)
-    assert np.concatenate(found) == pytest.approx(np.array([[below, 0.0], [above, 0.0]]), rel=1e-3)
+    slopes = displaced.slopes(start, here, solve)
+    assert variance_of(here, slopes) == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
+    found = displaced.passed(start, here, slopes, solve)
+    assert np.concatenate(found) == pytest.approx(np.array([[low, 0.0], [high, 0.0]]), rel=1e-3)
 
 
 def test_what_goes_with_a_constant_that_is_displaced() -> None:

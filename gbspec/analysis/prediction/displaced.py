@@ -23,7 +23,6 @@ import numpy as np
 
 from gbspec.analysis.prediction.solutions import Start
 from gbspec.arrays import Array
-from gbspec.runs import NORMAL_90
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
@@ -58,7 +57,7 @@ def unchanged(change: Array) -> Array:
 class Displaced:
     """Displaced copies of a member; `covariance` None: what is not known has no variance. `given` are constants that
     the user has set, which are not displaced. `jumping`: times at which solutions jump may depend on constants;
-    `moving`: those that the times of events and doses depend on, with the distances of the ends of their intervals."""
+    `moving`: those that the times of events and doses depend on, with the ends of their intervals."""
 
     def __init__(
         self,
@@ -104,41 +103,49 @@ class Displaced:
                 change[self.member.constants.index(name)] = 0.0 if name in self.given else by
         return Evaluator(type(self.member)(moved, self.member.info)), change
 
-    def variance(self, start: Start, variables: Array, solve: Solve, refitted: Refit = unchanged) -> Array:
-        """The variance of `variables` [R, V], the solution from `start`, which follows the model as `refitted` says."""
-        squares = []
-        for number in range(len(self._draws)):
+    def slopes(
+        self, start: Start, variables: Array, solve: Solve, refitted: Refit = unchanged
+    ) -> list[tuple[Array, Array]]:
+        """The displacements of the constants [k] along draws, and the derivatives along them of `variables` [R, V], the
+        solution from `start`, which follows the model as `refitted` says."""
+        found = []
+        for number, (_, constants) in enumerate(self._draws):
             slope = self._slope(number, start, variables, solve)
-            if slope is not None and np.isfinite(square := refitted(slope) ** 2).all():
-                squares.append(square)
-        return np.mean(squares, axis=0) if squares else np.zeros_like(variables)
+            if slope is not None and np.isfinite(change := refitted(slope)).all():
+                found.append((constants, change))
+        return found
+
+    def variance(self, start: Start, variables: Array, solve: Solve, refitted: Refit = unchanged) -> Array:
+        """The variance of `variables` [R, V]."""
+        return variance_of(variables, self.slopes(start, variables, solve, refitted))
 
     def passed(
-        self, start: Start, variables: Array, variance: Array, solve: Solve, refitted: Refit = unchanged
+        self,
+        start: Start,
+        variables: Array,
+        slopes: Sequence[tuple[Array, Array]],
+        solve: Solve,
+        refitted: Refit = unchanged,
     ) -> tuple[Array, Array]:
-        """By how much [R, V] solutions are below and above the mean in rows that an event passes where a constant that
-        moves it is at the ends of its interval: where they are further away than a linear model makes them."""
-        below, above = np.zeros_like(variables), np.zeros_like(variables)
-        linear = NORMAL_90 * np.sqrt(variance)
-        for weights, constants in self._ends:
-            evaluator, change = self._displaced(weights, constants)
-            there = refitted(solve(evaluator, replace(start, constants=start.constants + change)) - variables)
-            if np.isfinite(there).all():
-                there = np.where(np.abs(there) > JUMPED * linear, there, 0.0)
-                below, above = np.minimum(below, there), np.maximum(above, there)
-        return below, above
-
-    @cached_property
-    def _ends(self) -> list[tuple[Array, Array]]:
-        """Displacements of the weights and constants to both ends of the intervals of those that move events."""
-        if self.covariance is None:
-            return []
-        ends = []
-        for name in {*self.moving} & {*self.covariance.constants} - self.given:
-            weights, constants = self.covariance.towards(name)
-            if (deviation := float(constants[self.covariance.constants.index(name)])) > 0:
-                ends += [(far / deviation * weights, far / deviation * constants) for far in self.moving[name]]
-        return ends
+        """The lowest and highest `variables` [R, V] where a constant that moves an event is at the ends of its
+        interval, in rows that the event passes: where they change by far more than `slopes` say. Elsewhere
+        `variables`."""
+        low, high = variables.copy(), variables.copy()
+        for name in sorted({*self.moving} - self.given):
+            if self.covariance is None or not slopes or name not in self.covariance.constants:
+                continue
+            place, (weights, constants) = self.covariance.constants.index(name), self.covariance.towards(name)
+            if (deviation := float(constants[place])) <= 0:
+                continue
+            slope = np.mean([draw[place] * change for draw, change in slopes], axis=0) / deviation**2
+            for end in self.moving[name]:
+                far = end - float(start.constants[self.member.constants.index(name)])
+                evaluator, moved = self._displaced(far / deviation * weights, far / deviation * constants)
+                there = refitted(solve(evaluator, replace(start, constants=start.constants + moved)) - variables)
+                if np.isfinite(there).all():
+                    there = variables + np.where(np.abs(there) > JUMPED * np.abs(far * slope), there, 0.0)
+                    low, high = np.minimum(low, there), np.maximum(high, there)
+        return low, high
 
     def _slope(self, number: int, start: Start, variables: Array, solve: Solve) -> Array | None:
         """The derivative [R, V] of the solution along a draw; None where displaced solutions do not exist."""
@@ -155,6 +162,11 @@ class Displaced:
                 return _without_jumps(found, slope, (up - variables) / factor, (variables - down) / factor)
             found = slope
         return found
+
+
+def variance_of(variables: Array, slopes: Sequence[tuple[Array, Array]]) -> Array:
+    """The variance of `variables` [R, V] with these derivatives along draws."""
+    return np.mean([change**2 for _, change in slopes], axis=0) if slopes else np.zeros_like(variables)
 
 
 def _without_jumps(wide: Array, near: Array, ahead: Array, behind: Array) -> Array:

@@ -64,8 +64,8 @@ class PredictedTrajectory:
     `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
     are multiplicative, `counted` [V] those that are counts; `quantile` is half their width in standard deviations.
-    `alike` is the label of the trajectory of the training data that has the same rows, if it is another one.
-    `below` and `above` [R, V] are the distances of solutions where a row may be on the other side of an event.
+    `alike` is the label of the trajectory of the training data that has the same rows, or first rows, if it is another.
+    `others` are further means and deviations [R, V], of rows that may be on the other side of an event.
     """
 
     label: str
@@ -81,19 +81,23 @@ class PredictedTrajectory:
     failure: str = ""
     quantile: float = NORMAL_90
     counted: Mask | bool = False
-    below: Array | float = 0.0
-    above: Array | float = 0.0
+    others: tuple[tuple[Array, Array], ...] = ()
     alike: str = ""
 
     @property
     def low(self) -> Array:
         """Lower end of the 90 % interval [R, V]."""
-        return interval(self.mean + self.below, self.sd, self.in_logarithms, self.quantile, self.counted)[0]
+        return np.asarray(np.min([low for low, _ in self._ends], axis=0), dtype=np.float64)
 
     @property
     def high(self) -> Array:
         """Upper end of the 90 % interval [R, V]."""
-        return interval(self.mean + self.above, self.sd, self.in_logarithms, self.quantile, self.counted)[1]
+        return np.asarray(np.max([high for _, high in self._ends], axis=0), dtype=np.float64)
+
+    @property
+    def _ends(self) -> list[tuple[Array, Array]]:
+        sides = ((self.mean, self.sd), *self.others)
+        return [interval(mean, sd, self.in_logarithms, self.quantile, self.counted) for mean, sd in sides]
 
 
 @dataclass(frozen=True)
@@ -382,8 +386,18 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     mean = values.mean(axis=0)
     between = values.var(axis=0, ddof=1) if len(views) > 1 else np.zeros_like(mean)
     channels = len(model.channels)
-    added = np.pad(noise_at(each[0].run, mean[:, :channels]) ** 2, ((0, 0), (0, mean.shape[1] - channels)))
-    sd = np.sqrt(between + np.mean([v.variance for v in views], axis=0) + added)
+    in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
+    of_model = between + np.mean([v.variance for v in views], axis=0)
+
+    def side(found: Array) -> tuple[Array, Array]:
+        """The deviations at means [R, V]; what is not known of the model is a part of values whose noise is."""
+        noise = np.pad(noise_at(each[0].run, found[:, :channels]) ** 2, ((0, 0), (0, mean.shape[1] - channels)))
+        ratio = np.divide(found, mean, out=np.ones_like(mean), where=in_logarithms & (mean != 0))
+        return found, np.sqrt(ratio**2 * of_model + noise)
+
+    mean, sd = side(mean)
+    apart = [np.where(side_of != v.variables, side_of, mean) for v in views for side_of in (v.low, v.high)]
+    others = tuple(side(one) for one in apart if not np.array_equal(one, mean))
     states = np.mean([v.prediction.states for v in views], axis=0)
     first = views[0].prediction.start
     start = replace(first, state=np.mean([v.prediction.start.state for v in views], axis=0))
@@ -393,13 +407,11 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
     used = uses(len(item.times), trained, 0 if position is not None or goes_on else rows)
-    in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
     counted = np.pad(counted_channels(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     labels = labels_of(each[0].evaluator.instance)
-    alike = labels[position] if position is not None and start.origin == "learned" and labels else ""
+    place = position if position is not None else longer[0] if goes_on and longer is not None else None
+    alike = labels[place] if place is not None and start.origin in ("learned", "continued") and labels else ""
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
-                               in_logarithms, failure, each[0].run.fit.quantile, counted,
-                               np.min([v.below for v in views], axis=0),
-                               np.max([v.above for v in views], axis=0),
+                               in_logarithms, failure, each[0].run.fit.quantile, counted, others,
                                "" if alike == item.label else alike)  # fmt: skip

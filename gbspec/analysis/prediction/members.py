@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged
+from gbspec.analysis.prediction.displaced import Displaced, Refit, unchanged, variance_of
 from gbspec.analysis.prediction.estimate import Estimator, estimator_of
-from gbspec.analysis.prediction.moving_jumps import distances_to_ends
+from gbspec.analysis.prediction.moving_jumps import moving_intervals
 from gbspec.analysis.prediction.nearby import Nearby, step_to_compare, variables_of
 from gbspec.analysis.prediction.noise import measured_deviations
 from gbspec.analysis.prediction.solutions import (
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class View:
     """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start and
-    of the learned model; `below` and `above` [R, V]: by how much solutions are so where a row may be on the other side
-    of an event."""
+    of the learned model; `low` and `high` [R, V]: the lowest and highest solutions where a row may be on the other side
+    of an event, else the mean."""
 
     prediction: Prediction
     variables: Array
     variance: Array
-    below: Array
-    above: Array
+    low: Array
+    high: Array
 
 
 class MemberPredictions:
@@ -71,7 +71,7 @@ class MemberPredictions:
             self.covariance,
             given=frozenset(run.values),
             jumping=may_jump(run.model),
-            moving=distances_to_ends(run),
+            moving=moving_intervals(run),
         )
 
     @cached_property
@@ -88,7 +88,7 @@ class MemberPredictions:
         found = predict(self.evaluator, self.model, item, start)
         variables = variables_of(self.model, found)
         variance = np.zeros_like(variables)
-        below, above = variance, variance
+        low, high = variables, variables
         refitted: Refit = unchanged
         if not found.failure:
             near = Nearby(self.evaluator, self.model, item, found, step_to_compare(self.run, self.number, item))
@@ -106,10 +106,10 @@ class MemberPredictions:
                 # Initial values that are expressions, or steady states, follow from the displaced constants.
                 return near.solve(started(evaluator, item, moved.state, own, moved.origin), evaluator)
 
-            of_model = self.displaced.variance(start, variables, solve, refitted)
-            below, above = self.displaced.passed(start, variables, of_model, solve, refitted)
-            variance = variance + of_model
-        return View(found, variables, variance, below, above)
+            slopes = self.displaced.slopes(start, variables, solve, refitted)
+            low, high = self.displaced.passed(start, variables, slopes, solve, refitted)
+            variance = variance + variance_of(variables, slopes)
+        return View(found, variables, variance, low, high)
 
     def _individuals(self, start: Start, item: Trajectory) -> Individuals | None:
         """The distribution of what a trajectory has of its own, before its rows are seen. What was learned of the

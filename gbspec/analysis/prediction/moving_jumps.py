@@ -34,13 +34,10 @@ def said_of_moving_jumps(run: Run) -> list[str]:
     ]
 
 
-def distances_to_ends(run: Run) -> dict[str, tuple[float, float]]:
-    """How far the ends of the intervals of the learned constants that move events or doses are from their values."""
+def moving_intervals(run: Run) -> dict[str, tuple[float, float]]:
+    """The intervals of the learned constants that move events or doses, of those that have one."""
     moving = moving_constants(run.model)
-    known = {name: (one.value, one.interval) for name, one in run.fit.constants.items() if name in moving}
-    return {
-        name: (ends[0] - value, ends[1] - value) for name, (value, ends) in known.items() if ends and value is not None
-    }
+    return {name: one.interval for name, one in run.fit.constants.items() if name in moving and one.interval}
 
 
 def moving_constants(model: Model) -> frozenset[str]:

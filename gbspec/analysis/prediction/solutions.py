@@ -38,7 +38,10 @@ ORIGINS: dict[Origin, str] = {
     "failed": "no initial state was found from which it can be solved",
 }
 """What is said of trajectories by the origin of their starts."""
-ALIKE = "the same rows as one of the training data that has another label: predicted from what was learned there"
+ALIKE = (
+    "the rows, or the first rows, of one of the training data that has another label: predicted from what was learned "
+    "there"
+)
 """The same of those whose starts were learned of a trajectory with another label."""
 
 RTOL = 1e-8

@@ -23,6 +23,7 @@ from .maximum import restricted_value as restricted_value
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import huber as huber
 from .normal_equations import huber_each as huber_each
+from .normal_equations import huber_limit as huber_limit
 from .normal_equations import huber_weights as huber_weights
 from .normal_equations import use_threads as use_threads
 from .other_innovations import OtherInnovations as OtherInnovations

@@ -2,7 +2,7 @@
 
 A likelihood may have several maxima by the sizes of disturbances. From a start that is too large it comes to rest where
 disturbances explain what the balances should: constants then follow from next to nothing. So where a fit rests, the
-other constants are fitted with next to no disturbances, and these then grow as long as that is better.
+other constants are fitted with next to no disturbances, of which the best of several sizes is then gone on with.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from gbspec.training.optimise.maximum import Likeliest, likeliest
 from gbspec.training.optimise.restricted import sizes
 from gbspec.training.problem import Integers
 
-NONE = 1e-6
-"""The part of sizes with which the other constants are fitted as without disturbances."""
+NONE = (1e-6, 1e-4, 1e-2)
+"""The parts of sizes with which the other constants are fitted as without disturbances: the first one with which there
+is a solution."""
 LARGER = tuple(10.0 ** (0.5 * k) for k in range(1, 12))
 """The factors by which sizes then grow, of which the best one is gone on with."""
 HIGHER = 0.5
@@ -31,12 +32,13 @@ def near_none(engine: FilterEngine, vector: Array) -> Array | None:
     entries = all_sizes[(all_sizes < parameters.size) & (engine.layout.free[all_sizes] > 0)]
     if parameters.n_weights or not len(entries):
         return None
-    start = _scaled(engine, vector, entries, NONE)
-    # Where disturbances explain all, learned noises have gone to nothing.
-    start[parameters.size :] = np.maximum(start[parameters.size :], engine.noise.first())
-    found = [likeliest(engine, start)]
-    if not found[0].found.finite:
+    starts = [_scaled(engine, vector, entries, part) for part in NONE]
+    for start in starts:  # where disturbances explain all, learned noises have gone to nothing
+        start[parameters.size :] = np.maximum(start[parameters.size :], engine.noise.first())
+    finite = next((start for start in starts if np.isfinite(engine.value(start))), None)
+    if finite is None or not (first := likeliest(engine, finite)).found.finite:
         return None
+    found = [first]
     grown = [_scaled(engine, found[0].vector, entries, factor) for factor in LARGER]
     values = [engine.value(each) for each in grown]
     best = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))

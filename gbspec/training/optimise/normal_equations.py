@@ -47,7 +47,7 @@ def use_threads(count: int) -> None:
 
 MEDIANS, LEAST_LIMIT = 4.0, 3e-3
 """Huber's limit is so many times the median absolute residual, 2.7 standard deviations of normal noise, with which
-estimates have 99 % of the efficiency of least squares; and at least this part of a channel's standard deviation."""
+estimates have 99.9 % of the efficiency of least squares; and at least this part of a channel's standard deviation."""
 
 
 def huber_limit(residuals: Array) -> float:

@@ -19,7 +19,16 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, residual_vector
-from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, log_evidence
+from gbspec.training.optimise import (
+    LevenbergMarquardt,
+    LevenbergOptions,
+    Outcome,
+    Stage,
+    State,
+    huber,
+    huber_limit,
+    log_evidence,
+)
 from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Planned, Reached, always, shortened
@@ -29,6 +38,9 @@ from gbspec.training.starts import refit_starts
 CLEARLY = 2.0
 """The other vector is gone on with if its log evidence is larger by this, and its loss not larger."""
 
+WORTHWHILE = 0.01
+"""A vector before growing horizons is gone back to if that lowers Huber's function of whole solutions, which the fit
+minimises, by more than this part."""
 BEFORE = (StageName.STARTS_AGAIN, StageName.TEACHER)
 """The stages before growing horizons, the last one first."""
 
@@ -96,9 +108,9 @@ def other_starts(
     options: Callable[[Reached], LevenbergOptions],
     iterations: int,
 ) -> list[Planned]:
-    """The stage, and the `fit` of whole solutions again where it has replaced the vector: from where growing horizons
-    began, if whole solutions of this `layout` followed the data better there, else from the warm start, with at most so
-    many iterations (0: not from there)."""
+    """The stage, and the `fit` of whole solutions again where it has replaced the vector: from the warm start, with at
+    most so many iterations, or, where these are 0, from where growing horizons began, if whole solutions of this
+    `layout` followed the data better there."""
 
     def engine(reached: Reached) -> Engine:
         return context.engine(layout, 0.0, shortened(reached.begun))
@@ -109,10 +121,13 @@ def other_starts(
         if StageName.HORIZONS not in marks or name is None:
             return None
         before = refit_starts(whole, marks[name], context.seed)
-        return before if _loss(whole, before) < _loss(whole, reached.theta) else None
+        residuals = [residual_vector(whole, theta) for theta in (before, reached.theta)]
+        limit = whole.problem.limit(huber_limit(whole.problem.of_noise(residuals[1])))
+        earlier, now = (huber(each, limit) for each in residuals)
+        return before if earlier < (1 - WORTHWHILE) * now else None
 
     def make(reached: Reached) -> Stage:
-        earlier = left(reached)
+        earlier = None if iterations else left(reached)
         if earlier is not None:
             return WayBack(engine(reached), earlier)
         other = reached.marks[StageName.WARM_START]

@@ -390,7 +390,10 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     said = said_of_constants(model, constants, ended, results)
     misjudged = {name for r in ordered for name in r.misjudged}  # their correlations are those of the same curvature
     certain = {name for name, each in constants.items() if each.certain}
-    together = moving_together(correlations, certain | misjudged)
+    at_bound = {name for _, name, _ in ended}  # no curvature holds there
+    inside = [name for name in correlations if name not in at_bound]
+    table = {name: {other: correlations[name][other] for other in inside} for name in inside}
+    together = moving_together(table, certain | misjudged)
     return replace(
         record,
         constants=constants,
