@@ -11,6 +11,7 @@ from .exchanges import exchanged as exchanged
 from .held import tied_at_bounds as tied_at_bounds
 from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
+from .levenberg_marquardt import ON_THE_WAY as ON_THE_WAY
 from .levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .levenberg_marquardt import LevenbergOptions as LevenbergOptions
 from .levenberg_marquardt import evidence as evidence

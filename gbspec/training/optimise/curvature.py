@@ -35,9 +35,9 @@ FIXED_POINT = 100
 """Iterations of the evidence's fixed point."""
 
 
-def covariance(engine: Engine, theta: Array, robust: bool = True) -> Covariance | None:
-    """The covariance at the end of a fit, by Huber's function (`robust`) or least squares; None if it is not known (a
-    solution that is not finite, a singular matrix) or too large to be computed."""
+def covariance(engine: Engine, theta: Array, robust: bool = True, most: float = np.inf) -> Covariance | None:
+    """The covariance at the end of a fit, by Huber's function (`robust`, with a limit of at most `most`) or least
+    squares; None if it is not known (a solution that is not finite, a singular matrix) or too large to be computed."""
     parameters = engine.parameters
     if int(engine.problem.seen.sum()) * parameters.n_shared > LARGEST or not parameters.n_shared:
         return None
@@ -45,7 +45,7 @@ def covariance(engine: Engine, theta: Array, robust: bool = True) -> Covariance 
         system = linearise(engine, theta)
         if not bool(np.isfinite(system.residuals.numpy()).all()):
             return None
-        return _solved(_Reduced.of(engine, system, theta, robust), parameters, theta)
+        return _solved(_Reduced.of(engine, system, theta, robust, most), parameters, theta)
     except np.linalg.LinAlgError:
         return None
 
@@ -170,9 +170,11 @@ class _Reduced:
     limited: tuple[Array, Array | float]
 
     @classmethod
-    def of(cls, engine: Engine, system: Linearised, theta: Array, robust: bool = True) -> _Reduced:
+    def of(
+        cls, engine: Engine, system: Linearised, theta: Array, robust: bool = True, most: float = np.inf
+    ) -> _Reduced:
         measured = system.residuals.numpy()
-        delta = huber_limit(engine.problem.of_noise(measured)) if robust else np.inf
+        delta = huber_limit(engine.problem.of_noise(measured), most) if robust else np.inf
         limit = engine.problem.limit(delta)
         weights = huber_weights(measured, limit)
         priors = Priors.of(engine.problem, engine.parameters, measured)

@@ -22,6 +22,8 @@ from gbspec.training.optimise.released import released
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.problem import Parameters, Problem, mean_loss
 
+ON_THE_WAY = 0.1
+"""The largest limit of Huber's function on the way to a fit: an event at a wrong time makes few large residuals."""
 ATTEMPTS = 10
 """Number of dampings tried in one iteration before the stage gives up."""
 LESS, MORE, GOOD = 0.2, 2.0, 0.9
@@ -49,14 +51,15 @@ WEAK = 1e-2
 class LevenbergOptions:
     """Settings of a stage and its criteria of termination.
 
-    `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
-    stage ends; `enough`: mean loss below which it ends at once, or a function of a vector and its residuals that
+    `robust`: Huber's function, else least squares; `most`: its largest limit, in standard deviations of the data;
+    `tolerance`: relative decrease below which (twice in a row) the stage ends; `enough`: mean loss below which it ends at once, or a function of a vector and its residuals that
     returns this loss; `damping`: the initial one; `ridge`: precision of the weights' prior in units of squared
     residuals; `evidence`: re-estimate the ridge from the data after each iteration; `spread`: with `evidence`, also a
     move of the predictions below this many of their standard deviations (root mean square, twice in a row) ends it.
     """
 
     robust: bool = True
+    most: float = ON_THE_WAY
     tolerance: float = 1e-3
     enough: float | Callable[[Array, Array], float] = 0.0
     damping: float = 1.0
@@ -90,7 +93,7 @@ class LevenbergMarquardt:
 
     def threshold(self, residuals: Array) -> float:
         """Huber's threshold for these residuals."""
-        return huber_limit(residuals) if self.options.robust else float("inf")
+        return huber_limit(residuals, self.options.most) if self.options.robust else float("inf")
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration: a Jacobian, and as many dampings as are needed for a decrease."""

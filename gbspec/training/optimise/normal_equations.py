@@ -50,9 +50,10 @@ MEDIANS, LEAST_LIMIT = 4.0, 3e-3
 estimates have 99.9 % of the efficiency of least squares; and at least this part of a channel's standard deviation."""
 
 
-def huber_limit(residuals: Array) -> float:
-    """Huber's limit for residuals [m] that have the standard deviation of the noise; infinite without any."""
-    return max(MEDIANS * float(np.median(np.abs(residuals))), LEAST_LIMIT) if len(residuals) else float("inf")
+def huber_limit(residuals: Array, most: float = float("inf")) -> float:
+    """Huber's limit for residuals [m] that have the standard deviation of the noise, and at most `most`; infinite
+    without any."""
+    return float(np.clip(MEDIANS * np.median(np.abs(residuals)), LEAST_LIMIT, most)) if len(residuals) else float("inf")
 
 
 def huber(residuals: Array, delta: Array | float) -> float:

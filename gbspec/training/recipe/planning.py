@@ -122,7 +122,7 @@ class _Planner:
         if self.options.method == "lbfgs":
             return self._quasi_newton(epochs or ALONE[self.options.effort])
         name = StageName.LEVENBERG_MARQUARDT
-        return self._newton(name, self._at(self.blend), LevenbergOptions(tolerance=1e-6), total=epochs)
+        return self._newton(name, self._at(self.blend), LevenbergOptions(tolerance=1e-6, most=np.inf), total=epochs)
 
     def _constants_alone(self) -> list[Planned]:
         """The stages of a model whose functions are all known: least squares of whole solutions, from several
@@ -183,10 +183,10 @@ class _Planner:
         if StageName.WHOLE in marks:
             return LastFit(self._layout_of_whole(reached), 0.0, 0.0, self._whole, self.values < FEW)
         if StageName.AS_ASKED in marks:
-            return LastFit(self.parameters, self.blend, self.blend, self._regular, True)
+            return LastFit(self.parameters, self.blend, self.blend, self._last, True)
         if StageName.AUTOREGRESSIVE in marks:
             if left_for_intervals(marks) is None:
-                return LastFit(self.released, 0.0, 0.0, self._regular, True)
+                return LastFit(self.released, 0.0, 0.0, self._last, True)
             return None if StageName.HORIZONS in marks else LastFit(self.released, 1.0, 1.0, self._prior, False)
         if StageName.TEACHER not in marks or StageName.HORIZONS in marks:
             return None
@@ -204,11 +204,11 @@ class _Planner:
                 self._starts(StageName.STARTS, 1.0),
                 self._newton(StageName.TEACHER, first, self._prior),
                 *shorter_steps(self.context, self.parameters, self.blend, always, self.effort),
-                self._newton(StageName.AS_ASKED, last, self._regular),
+                self._newton(StageName.AS_ASKED, last, self._last),
                 *self._continued(),
             ]
         whole = self._at(0.0, 1.0, self.released)
-        fit = self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self.judged.unfollowed, self._whole_limit())
+        fit = self._newton(StageName.AUTOREGRESSIVE, whole, self._last, self.judged.unfollowed, self._whole_limit())
         return [
             self._adam(self._most(StageName.ADAM), self._hidden),
             self._thresholds(),
@@ -223,8 +223,8 @@ class _Planner:
             *shorter_steps(self.context, self.released, 0.0, self._whole_next, self.effort),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             fit,
-            *other_starts(self.context, self.released, fit, self._regular, self._from_warm_start()),
-            *(self._weights(self._regular, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
+            *other_starts(self.context, self.released, fit, self._last, self._from_warm_start()),
+            *(self._weights(self._last, self.judged.noisy_whole) for _ in range(REWEIGHTINGS)),
             Planned(
                 StageName.CHOICE, 1, partial(choice_of_fits, self.context, self.released), possible=self._both_fits
             ),
@@ -355,6 +355,10 @@ class _Planner:
         initial = np.concatenate([v.ravel() for k, v in self.context.module.weights.items() if k.endswith("weight")])
         deviation = self.options.ridge * float(np.sqrt(np.mean(initial**2)))
         return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
+
+    def _last(self, reached: Reached) -> LevenbergOptions:
+        """The same for a fit that may be the last one."""
+        return replace(self._regular(reached), most=np.inf)
 
     # ---------------------------------------------------------------- stages
     def _growing(self) -> Planned:

@@ -14,10 +14,11 @@ from gbspec.backends import GeneratedModule, network_arguments
 from gbspec.data import Trajectories, Trajectory, evenly_spaced
 from gbspec.runs import Certainties, Support
 from gbspec.training.engines import Engine, predicted
-from gbspec.training.optimise import covariance
+from gbspec.training.optimise import ON_THE_WAY, covariance
 from gbspec.training.problem import Parameters, Problem
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.summary import whole_solutions
+from gbspec.training.stages import StageName
 
 POINTS = 2000
 """The most points that are kept for a network."""
@@ -36,7 +37,9 @@ def certainties(
     engine = context.engine(parameters, blend, step_fraction(stages))
     # Least squares fit models whose functions are all known, unless Levenberg-Marquardt alone was asked for.
     robust = bool(context.model.networks) or context.options.method == "lm"
-    known = None if marginal else covariance(engine, theta, robust)
+    asked = {StageName.AS_ASKED, StageName.LEVENBERG_MARQUARDT} & set(stages)
+    most = np.inf if asked or not blend else ON_THE_WAY  # that of predictions from row to row ends as it went on
+    known = None if marginal else covariance(engine, theta, robust, most)
     if member.networks and engine.problem.packed.rows < POINTS:
         dense = replace(context, trajectories=_dense(context.trajectories), _packed={})
         engine = dense.engine(parameters, blend, step_fraction(stages))
