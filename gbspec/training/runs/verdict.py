@@ -173,12 +173,8 @@ def below_stated(
     freedom: float | None,
     tabled: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """A warning for each channel whose residuals are far smaller than the stated noise, by more than chance.
-
-    With the noise s stated, n times the squared ratio of the estimated to the stated standard deviation has the
-    chi-squared distribution of n degrees of freedom, here the channel's part of `freedom`; a median of residuals counts
-    like `OF_MEDIAN` of them. Nothing is said of exact data, and of residuals that are not those of measurements.
-    """
+    """A warning for each channel whose residuals are `far_smaller` than the stated noise, with the channel's part of
+    `freedom`. Nothing is said of exact data, and of residuals that are not those of measurements."""
     counted = sum(one.values or 0 for one in channels.values())
     if model.marginal or model.diffusions or freedom is None or not counted:
         return []
@@ -187,10 +183,10 @@ def below_stated(
         name, found = channel.name, channels.get(channel.name)
         if found is None or found.r2 is None or 1 - found.r2 <= EXACT or name in following:
             continue
-        left = OF_MEDIAN * freedom * (found.values or 0) / counted
+        left = freedom * (found.values or 0) / counted
         # Values with deviations of their own are compared with these: the number in the model is not theirs.
         times, what = next(iter(beside_stated(channel, noise, tabled)), (math.nan, ""))
-        if not 0 < times < 1 / ABOVE or not chdtr(left, left * times**2) <= BY_CHANCE:
+        if not far_smaller(times, left):
             continue
         follows = ", or the learned functions follow the noise" if model.networks else ""
         of_residuals = f"{100 * noise[name]:.2g} %" if _relative(channel) else f"{noise[name]:.2g}"
@@ -200,6 +196,17 @@ def below_stated(
             f"{of_residuals}"
         )
     return out
+
+
+def far_smaller(times: float, left: float) -> bool:
+    """Whether residuals that are so many `times` as large as the stated noise are far smaller, by more than chance.
+
+    With the noise s stated, n times the squared ratio of the estimated to the stated standard deviation has the
+    chi-squared distribution of n degrees of freedom, here `left`; a median of residuals counts like `OF_MEDIAN` of
+    them.
+    """
+    n = OF_MEDIAN * left
+    return 0 < times < 1 / ABOVE and bool(chdtr(n, n * times**2) <= BY_CHANCE)
 
 
 def _relative(channel: Channel) -> bool:
