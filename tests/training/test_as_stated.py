@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gbspec
+from gbspec.report import run_summary
 from gbspec.runs import ChannelRecord
 from gbspec.training.runs.stated import to_stated_noise
 from tests.training.conftest import model_of
@@ -47,6 +48,7 @@ def test_each_value_needs_a_stated_noise(tmp_path: Path, told: int, noise: str, 
     x = 2 * np.exp(-t) + np.random.default_rng(2).normal(size=60)
     sd = np.where(np.arange(60) < told, 1.0, np.nan)
     data = {"t": t, "x": x, "sd_x": sd}
-    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run.fit
-    channels = fit.members[0].channels
+    run = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run
+    channels = run.fit.members[0].channels
     assert channels is not None and bool(channels["x"].as_stated) is stated
+    assert ("R² of `x`: what is left is no larger than the stated noise" in run_summary(run)) is stated
