@@ -132,7 +132,8 @@ def summarise(
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
     followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
-    outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items)
+    starts = bool(context.start_free.any())
+    outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items, starts)
     tabled = _beside_tabled(noise_of, problem, model)
     channels = _beside_noise(problem, followed, noise_of, outlying)
     if noise_of.share is not None:  # the noise is that of residuals of whole solutions
