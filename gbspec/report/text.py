@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from gbspec.frames import counted
 from gbspec.report.noises import learned_noises
+from gbspec.runs import SMALL_FOR_NOISE, small_for_noise
 
 if TYPE_CHECKING:
     from gbspec.ir import Condition, EquationBlock, Family, Initial, Learnable, Model, Network, Range, State
@@ -318,7 +319,7 @@ def run_summary(run: Run) -> str:
         lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
         parts.append(table(["member", "loss", "time"], lines))
         parts.append(_channels(members))
-        parts += [*_of_logarithms(run), *_of_averages(members)]
+        parts += [*_of_logarithms(run), *_of_averages(members), *_of_stated_noise(members)]
     if run.fit.solver_reason:
         parts.append(f"solver `{run.fit.solver}`: {run.fit.solver_reason}")
     parts += [
@@ -347,6 +348,13 @@ def _of_averages(members: Sequence[MemberRecord]) -> list[str]:
     limited = [f"`{name}`" for name, one in channels.items() if one.censored]
     out = [f"rmse and R² of {', '.join(averaged)}: of averages of replicates"] if averaged else []
     return out + ([f"rmse and R² of {', '.join(limited)}: of values that are not censored"] if limited else [])
+
+
+def _of_stated_noise(members: Sequence[MemberRecord]) -> list[str]:
+    """What is to be said of channels whose R² is small for their stated noise."""
+    names = {name: [(one.channels or {}).get(name) for one in members] for name in members[0].channels or {}}
+    found = [f"`{name}`" for name, each in names.items() if small_for_noise(each)]
+    return [f"R² of {', '.join(found)}: {SMALL_FOR_NOISE}"] if found else []
 
 
 def _channels(members: Sequence[MemberRecord]) -> str:

@@ -13,7 +13,15 @@ from gbspec.frames import counted
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
-from gbspec.runs import CERTAIN, FOLLOWED, autocorrelated, held_elsewhere, how_followed
+from gbspec.runs import (
+    CERTAIN,
+    FOLLOWED,
+    SMALL_FOR_NOISE,
+    autocorrelated,
+    held_elsewhere,
+    how_followed,
+    small_for_noise,
+)
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
@@ -94,7 +102,8 @@ def _headline(run: Run, found: Validation, warnings: Sequence[str], reserved: bo
     if at_none or (run.fit.population is not None and not (run.fit.population.maximum or run.fit.population.held)):
         return "Do not rely on this fit: its likelihood is not at its maximum."
     if worse or found.empty or "badly" in followed:
-        return "Do not rely on this fit: its solutions do not follow the data."
+        who = "predictions" if found.ahead else "solutions"
+        return f"Do not rely on this fit: its {who} do not follow the data."
     if "in part" in followed:
         return "It follows the data in part."
     return "It follows the data, with reservations." if reserved else "It follows the data."
@@ -116,7 +125,8 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
         if how == "well":
             good.append(f"{who} follow `{name}`: {measured}.")
         else:
-            doubt.append(f"{who} follow `{name}` {how}: {measured}.")
+            explained = f"; {SMALL_FOR_NOISE}" if how == "in part" and small_for_noise(known) else ""
+            doubt.append(f"{who} follow `{name}` {how}: {measured}{explained}.")
         held = [one.held for one in known if one.held is not None]
         if held:
             text = f"On data that the fit did not see, `{name}` has R² {_share(min(held))}."

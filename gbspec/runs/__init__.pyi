@@ -6,9 +6,11 @@ from .covariance import Support as Support
 from .covariance import read_certainties as read_certainties
 from .following import EXACT as EXACT
 from .following import FOLLOWED as FOLLOWED
+from .following import SMALL_FOR_NOISE as SMALL_FOR_NOISE
 from .following import autocorrelated as autocorrelated
 from .following import how_followed as how_followed
 from .following import said_of_training as said_of_training
+from .following import small_for_noise as small_for_noise
 from .locks import held_elsewhere as held_elsewhere
 from .locks import locked as locked
 from .member import ChannelRecord as ChannelRecord

@@ -18,6 +18,8 @@ AUTOCORRELATED = 0.4
 """Residuals whose correlation with the next ones is above this, and beyond chance, are no noise of measurement."""
 CHANCE = 2.33
 """A correlation above so many standard errors is beyond chance: one of independent residuals is in 1 % of cases."""
+SMALL_FOR_NOISE = "what is left is no larger than the stated noise"
+"""What is said of a channel whose R² is small for its noise."""
 EXACT = 1e-6
 """A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
 
@@ -35,6 +37,13 @@ def how_followed(r2: float, records: Iterable[ChannelRecord] = ()) -> Literal["w
     noise = bool(known) and all(_uncorrelated(one) for one in known)
     stated = bool(known) and all(one.as_stated for one in known)
     return "in part" if r2 >= LOST or (noise and r2 > 0) or stated else "badly"
+
+
+def small_for_noise(records: Iterable[ChannelRecord | None]) -> bool:
+    """Whether a channel is followed to the stated noise by all members, and R² is small for that noise."""
+    known = list(records)
+    stated = bool(known) and all(one is not None and bool(one.as_stated) for one in known)
+    return stated and any(one is not None and _r2(one) < FOLLOWED for one in known)
 
 
 def autocorrelated(

@@ -97,6 +97,14 @@ def test_predictions_that_are_worse_than_the_last_value_are_no_fit(tmp_path: Pat
     assert verdict(run, validate(run, data), [], with_data=True).headline.startswith("Do not rely")
 
 
+def test_a_bound_that_makes_predictions_bad_is_named(tmp_path: Path) -> None:
+    rows = ["t,x", *(f"{t},{x:.6f}" for t, x in enumerate(walk()))]
+    text = LEVEL.replace("x' = 0", "x' = -r*x").replace("learn s = 1 in [0, 20]", "const s = 1\nlearn r = 4 in [3, 5]")
+    run, _ = fitted(tmp_path, text, rows)
+    (said,) = [warning for warning in run.fit.warnings if "one row ahead" in warning]
+    assert "What may help: wider bounds of `r`, if values beyond them are plausible" in said
+
+
 def test_the_last_values_are_those_of_each_channel_and_trajectory(tmp_path: Path) -> None:
     engine, _ = engine_of(tmp_path, BENT, table("X V y"))
     packed, last = engine.problem.packed, filter.last_values(engine)

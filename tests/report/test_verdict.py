@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from gbspec.report.content import LearnedFunction, Slice
 from gbspec.report.verdict import verdict
 from gbspec.runs import ChannelRecord, ConstantRecord, DataRecord, FitRecord, MemberRecord
 from gbspec.training.runs.verdict import verdicts
+from tests.training.conftest import model_of
 
 X = np.linspace(0.0, 1.0, 20)
 BOUND = "member 0: `a5` ended at its bound 0.001; widen the bounds if values beyond it are plausible"
@@ -150,3 +152,27 @@ def test_the_fit_and_the_report_agree(r2: float) -> None:
     warnings = verdicts({"x": ChannelRecord(r2, 0.0, "the mean")})
     headline = verdict(run(*warnings), found(r2), (), with_data=True).headline
     assert bool(warnings) == headline.startswith("Do not rely") == (r2 < 0.5)
+
+
+def test_predictions_ahead_that_are_lost_are_told_with_what_to_do() -> None:
+    """Its solutions are not what a fit with disturbances is judged by, and what may be the cause is no advice."""
+    text = "model m\nstate x = 1\nlearn s = 1\nlearn r = 1\nx' = r*x\ndiffusion x = s\nobserve x\n"
+    warnings = verdicts({"x": ChannelRecord(-0.24, 0.92, "the last value before", values=42)}, model_of(text))
+    errors = {"x": ChannelErrors(9, 0.1, 0.1, 0.1, -0.24)}
+    ahead = Validation("mean", errors, (), StepCheck(1e-6, 1e-6, 0.1), ahead={"1": errors})
+    said = verdict(run(*warnings), ahead, (), with_data=True)
+    assert said.headline == "Do not rely on this fit: its predictions do not follow the data."
+    assert any(one.endswith("or the disturbances are not of this form.") for one in said.doubt)
+    (advice,) = (one for one in said.do if "rely" in one)
+    assert advice.startswith("Do not rely on this fit. What may help: smaller starts")
+
+
+def test_a_small_share_beside_the_stated_noise_is_explained() -> None:
+    given = run()
+    (member,) = given.fit.members
+    for r2, told in ((-0.05, True), (0.95, False)):
+        record = ChannelRecord(r2, 0.0, "the mean", as_stated=True)
+        given.fit = replace(given.fit, members=(replace(member, channels={"x": record}),))
+        said = verdict(given, found(r2), (), with_data=True)
+        assert any(one.endswith("; what is left is no larger than the stated noise.") for one in said.doubt) is told
+        assert not said.headline.startswith("Do not rely")

@@ -48,20 +48,42 @@ def test_what_is_offered_can_be_fitted(tmp_path: Path) -> None:
     ("before", "after"),
     [
         ("x' = -k*x", "learn c = 1 per trajectory\nx' = -k*x - c"),
-        ("state x = 1", "state x\ninitial x learn"),
-        ("state x = 1", "state x = 1\nstate y in [0, 2]\ny' = -k*y"),
         ("x' = -k*x", "x' = -k*x\ndiffusion x = 0.1"),
         ("observe x", "observe x noise lognormal(0.1)"),
         ("", ""),
     ],
 )
 def test_a_noise_that_cannot_be_fitted_is_not_offered(before: str, after: str) -> None:
-    """Student's noise is part of a marginal likelihood: it takes no values and no starts of single trajectories that
-    have no distribution."""
+    """Student's noise is part of a marginal likelihood: it takes no constants of single trajectories that have no
+    distribution."""
     model = model_of("model m\nstate x = 1\nlearn k = 1\nx' = -k*x\nobserve x\n".replace(before, after))
     channels = {"x": ChannelRecord(0.9, 0.0, values=200)}
     (said,) = said_of_outlying(channels, {"x": Outlying((Place("a", 3.0, 3.0, 1),))}, model, {"x": 0.1})
     assert "leave this cell empty" in said and ("student" in said) is (before == "")
+
+
+@pytest.mark.parametrize(
+    ("state", "first", "offered"),
+    [
+        ("state x = 1", True, True),
+        ("state x = 1\ninitial x learn", True, False),
+        ("state x = 1\nstate y in [0, 2]\ny' = -k*y", True, False),
+        ("state x = 1", False, False),
+        ("state x = 1\ninitial x = 1", False, True),
+    ],
+)
+def test_student_noise_is_offered_where_all_starts_are_known(
+    tmp_path: Path, state: str, first: bool, offered: bool
+) -> None:
+    """Its likelihood learns no start of its own for each trajectory."""
+    (tmp_path / "m.gb").write_text(f"model m\ntime t\n{state}\nlearn k = 0.5 in [0.01, 3]\nx' = -k*x\nobserve x\n")
+    t = np.linspace(0, 4, 40)
+    x = np.exp(-0.4 * t) + 0.01 * np.random.default_rng(1).normal(size=40)
+    x[20] += 0.5
+    x[0] = x[0] if first else np.nan
+    fit = gbspec.load(tmp_path / "m.gb").train({"t": t, "x": x}, tmp_path / "run", effort="low").run.fit
+    (said,) = [text for text in fit.warnings if "far from all others" in text]
+    assert ("noise student(s_x, 4)" in said) is offered
 
 
 def test_large_residuals_in_successive_rows_are_no_outliers(tmp_path: Path) -> None:

@@ -112,6 +112,8 @@ def test_a_fit_that_obeys_limits_may_be_worse_than_what_does_not_know_them() -> 
     limited = replace(one, censored=16)
     assert not verdicts({"x": limited}) and not not_followed(limited)
     assert verdicts({"x": replace(limited, r2=0.85)}) and verdicts({"x": replace(limited, censored=1)})
+    (said,) = verdicts({"x": replace(limited, r2=0.89)})
+    assert "worse than a straight line" in said, "it is, and not by less than the limits allow"
 
 
 @pytest.mark.parametrize(
@@ -134,6 +136,29 @@ def test_predictions_one_row_ahead_are_compared_with_the_last_value(r2: float, n
     found = verdicts({"x": ChannelRecord(r2, naive, "the last value before", values=42)}, model)
     assert bool(found) == bool(said)
     assert all("`diffusion x = s*x`" in text and said in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "named"),
+    [
+        ("", "", ("smaller starts of the sizes", "`diffusion x = s*x`", "of the other constants")),
+        ("learn s = 1", "const s = 1", ("`diffusion x = s*x`", "of the constants")),
+        ("diffusion x = s", "diffusion x = s*x", ("smaller starts of the sizes", "of the other constants")),
+        ("learn r = 1 in [0, 2]", "const r = 1", ("smaller starts of the sizes", "`diffusion x = s*x`")),
+    ],
+)
+def test_what_a_model_with_disturbances_has_is_no_remedy(before: str, after: str, named: tuple[str, ...]) -> None:
+    text = "model m\nstate x = 1\nlearn s = 1\nlearn r = 1 in [0, 2]\nx' = r*x\ndiffusion x = s\nobserve x\n"
+    model = model_of(
+        (text if "0.1" not in after else text.replace("learn r = 1 in [0, 2]\n", "")).replace(before, after)
+    )
+    record = {"x": ChannelRecord(-0.24, 0.92, "the last value before", values=42)}
+    (said,) = verdicts(record, model)
+    every = ("smaller starts of the sizes", "`diffusion x = s*x`", "of the other constants", "of the constants")
+    assert tuple(one for one in every if one in said) == named
+    assert said.endswith("or another model") and "bounds" not in said
+    (wider,) = verdicts(record, model, ["r"])
+    assert "What may help: wider bounds of `r`, if values beyond them are plausible, " in wider
 
 
 def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:

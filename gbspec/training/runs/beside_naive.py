@@ -51,6 +51,3 @@ def worse_ahead(found: ChannelRecord) -> bool:
 def lost_ahead(found: ChannelRecord) -> bool:
     """Whether such predictions have more than `LOST` times the mean squared error of the naive predictor."""
     return worse_ahead(found) and 1 - (found.r2 or 0.0) > LOST * (1 - (found.naive or 0.0))
-
-
-__all__ = ["better", "lost_ahead", "squared_errors", "worse_ahead"]

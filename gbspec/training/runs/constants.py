@@ -356,7 +356,7 @@ def ended_at_bounds(
 
     def meaning(member: int, name: str, bound: float) -> str:
         if member in astray:
-            return "since its solutions do not follow the data, that says nothing of where the constant lies"
+            return "since the fit does not follow the data, that says nothing of where the constant lies"
         if (member, name) in at_limits:
             return at_limits[member, name]
         return "the data do not need it" if not bound else "widen the bounds if values beyond it are plausible"

@@ -378,14 +378,17 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         if r.loss > EXACT  # nothing holds back a fit without residuals
         for k, bound in at_bounds(model, r.constants, r.sd)
     ]
+    shared = {k.name for k in model.learnables if not k.per_trajectory}
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
+        if model.diffusions and name in shared:
+            results[member].bounded |= {name}
     own = own_records(model, ordered)
     best = min(
         ordered, key=lambda r: (r.objective is None, r.objective.value if r.objective and r.objective.value else 0.0)
     )
     weighed = [r.scales for r in ordered if r.scales is not None]
-    correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
+    correlations = correlations_of([k.name for k in model.learnables if k.name in shared], ordered)
     constants = {k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables}
     said = said_of_constants(model, constants, ended, results)
     misjudged = {name for r in ordered for name in r.misjudged}  # their correlations are those of the same curvature

@@ -54,6 +54,7 @@ class Outlying:
     switched: str = ""
     changed: tuple[float, ...] = ()
     several: bool = False
+    own_starts: bool = False
 
     @property
     def rows(self) -> int:
@@ -78,9 +79,12 @@ def far_from_others(residuals: Array) -> Mask:
     return far if few and np.sum(residuals[far] ** 2) > 0.5 * np.sum(residuals**2) else none
 
 
-def outlying_rows(model: Model, problem: Problem, mean: Array, items: Sequence[Trajectory]) -> dict[str, Outlying]:
+def outlying_rows(
+    model: Model, problem: Problem, mean: Array, items: Sequence[Trajectory], own_starts: bool
+) -> dict[str, Outlying]:
     """The residuals, by channel, that are far from all others at the predictions `mean` [R, C]; `items` are the
-    trajectories of the problem, by whose labels their inputs are found."""
+    trajectories of the problem, by whose labels their inputs are found, `own_starts`: whether some have starts that
+    neither the model gives nor the first row."""
     found, residuals, packed = {}, residuals_of(problem, mean), problem.packed
     for i, channel in enumerate(model.channels):
         rows = in_time(problem, i)
@@ -89,7 +93,7 @@ def outlying_rows(model: Model, problem: Problem, mean: Array, items: Sequence[T
             owner, time = packed.row_trajectory[rows], packed.row_time[rows]
             places = _places(own, far, owner, time, packed.labels)
             switched = _switched(model, channel, items, (far, owner, time), packed.labels)
-            found[channel.name] = Outlying(places, *switched, several=len(packed.labels) > 1)
+            found[channel.name] = Outlying(places, *switched, len(packed.labels) > 1, own_starts)
     return found
 
 
@@ -163,7 +167,7 @@ def said_of_outlying(
             together = ", in rows that follow one another" if one.together else ""
             out.append(begin + together + _NOT_FOLLOWED + (_FAST if not model.networks else ""))
         else:
-            out.append(begin + _alone(channel, count, model, rmse, bool(followed.censored)))
+            out.append(begin + _alone(channel, one, model, rmse, bool(followed.censored)))
     return out
 
 
@@ -203,23 +207,19 @@ _FAST = (
 
 
 def _student(channel: Channel, model: Model, rmse: float) -> str:
-    """The noise with heavy tails that may be written too; empty where the language or the fit does not take it, or
-    where noise is in proportion to values."""
-    measured = {one.state for one in model.channels}
-    starts = (
-        state.initial.kind == "learned" or (state.initial.kind == "measured" and i not in measured)
-        for i, state in enumerate(model.states)
-    )
+    """The noise with heavy tails that may be written too; empty where the language does not take it, or where noise is
+    in proportion to values."""
     own = any(k.per_trajectory and k.distribution is None for k in model.learnables)
     in_proportion = channel.noise is not None and channel.noise.kind == "lognormal"
-    if model.events or model.delays or model.diffusions or own or in_proportion or any(starts):
+    if model.events or model.delays or model.diffusions or own or in_proportion:
         return ""
     name = channel.name
     return f", or write `observe {name} … noise student(s_{name}, 4)` with `learn s_{name} = {rounded(0.3 * rmse)} > 0`"
 
 
-def _alone(channel: Channel, count: int, model: Model, rmse: Mapping[str, float], censored: bool) -> str:
-    student = _student(channel, model, rmse.get(channel.name, math.nan)) if not censored else ""
+def _alone(channel: Channel, one: Outlying, model: Model, rmse: Mapping[str, float], censored: bool) -> str:
+    count, fitted = one.rows, not (censored or one.own_starts)  # a likelihood takes neither limits nor such starts
+    student = _student(channel, model, rmse.get(channel.name, math.nan)) if fitted else ""
     if count == 1:
         error, row, cells = "it is a wrong value (an outlier)", "it", "this cell"
         moves = "a wrong value moves the fit and widens its intervals"

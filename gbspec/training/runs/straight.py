@@ -35,6 +35,3 @@ def _straight(model: Model, channel: Channel, log: bool) -> bool:
         return False
     slope = sympy.expand_mul(slope / value if log else slope)
     return not slope.free_symbols & {*inputs, *rates, model.time.symbol}
-
-
-__all__ = ["straight"]

@@ -38,6 +38,7 @@ from gbspec.training.runs.moved_starts import moved_starts
 from gbspec.training.runs.negative_states import negative_states
 from gbspec.training.runs.outlying import Outlying, outlying_rows
 from gbspec.training.runs.stated import to_stated_noise
+from gbspec.training.runs.verdict import not_followed
 from gbspec.training.stages import StageName
 
 REPLICATED = 3
@@ -131,12 +132,13 @@ def summarise(
     own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
     followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
-    outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items)
+    starts = bool(context.start_free.any())
+    outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items, starts)
     tabled = _beside_tabled(noise_of, problem, model)
     channels = _beside_noise(problem, followed, noise_of, outlying)
     if noise_of.share is not None:  # the noise is that of residuals of whole solutions
-        channels |= to_stated_noise(model, channels, noise, tabled, noise_of.freedom)
-    lost = bool(failed) or any(one.r2 is None or one.r2 < (one.naive or 0.0) for one in channels.values())
+        channels |= to_stated_noise(model, channels, _beside_stated(noise_of, problem, model), noise_of.freedom)
+    lost = bool(failed) or any(one.r2 is None or not_followed(one) for one in channels.values())
     return MemberResult(
         context.seed,
         mean_loss(measured_only(problem, residuals_of(problem, solution.mean))),
@@ -218,6 +220,18 @@ def _beside_tabled(noise: _Noise, problem: Problem, model: Model) -> dict[str, f
         own = seen & (np.nan_to_num(problem.packed.sd[:, i]) > 0)
         if levels is not None and levels[i] > 0 and own.any():
             found[channel.name] = noise.deviation(problem.valued[:, i] & own, i) / float(levels[i])
+    return found
+
+
+def _beside_stated(noise: _Noise, problem: Problem, model: Model) -> dict[str, float]:
+    """The same of all values of the channels of which each has a standard deviation, by the table or by the model."""
+    levels, found = problem.scaling.levels, {}
+    for i, channel in enumerate(model.channels):
+        seen, stated = problem.valued[:, i], channel.noise
+        of_model = stated is not None and stated.value is None and stated.scale > 0
+        own = np.nan_to_num(problem.packed.sd[seen, i]) > 0
+        if levels is not None and levels[i] > 0 and len(own) and (of_model or own.all()):
+            found[channel.name] = noise.deviation(seen, i) / float(levels[i])
     return found
 
 

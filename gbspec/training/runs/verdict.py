@@ -53,12 +53,6 @@ REMEDIES_OF_KNOWN_FORMS = (
     "what is meant, `per trajectory` constants, another state, or another model"
 )
 
-REMEDIES_AHEAD = (
-    "What may help: smaller starts of the sizes of disturbances, disturbances in proportion to a state (`diffusion x = "
-    "s*x`) where its values are positive over orders of magnitude, starting values of the other constants nearer to "
-    "what is meant (as from a fit without `diffusion`), or another model"
-)
-
 
 def verdicts(
     channels: Mapping[str, ChannelRecord], model: Model | None = None, bounded: Iterable[str] = ()
@@ -67,15 +61,15 @@ def verdicts(
     leave more than half of the variance, or whose predictions one row ahead, of a model with disturbances, are worse;
     `bounded` are the constants that ended at bounds."""
     remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
-    if names := " and ".join(f"`{name}`" for name in sorted(bounded)):
-        wider = f"what may help: wider bounds of {names}, if values beyond them are plausible, "
-        remedies = remedies.replace("what may help: ", wider).replace("narrower bounds or ", "")
+    wider = _wider(bounded)
+    if wider:
+        remedies = remedies.replace("what may help: ", f"what may help: {wider}, ").replace("narrower bounds or ", "")
     out = []
     for name, found in channels.items():
         if found.r2 is None or found.as_stated:
             continue
         if model is not None and model.diffusions:  # these predict from row to row
-            out += [_missed_ahead(name, found)] if worse_ahead(found) else []
+            out += [_missed_ahead(name, found, model, wider)] if worse_ahead(found) else []
             continue
         if found.naive is None or better(found, name, model):
             if how_followed(found.r2, [found]) == "badly":
@@ -84,19 +78,43 @@ def verdicts(
             continue
         if found.r2 > GOOD and found.autocorrelation is not None and name not in autocorrelated(channels):
             continue
-        compared = "worse than" if not_followed(found) else "hardly better than"
+        compared = "worse than" if found.r2 < found.naive else "hardly better than"
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
 
 
-def _missed_ahead(name: str, found: ChannelRecord) -> str:
+def _wider(bounded: Iterable[str]) -> str:
+    names = " and ".join(f"`{name}`" for name in sorted(bounded))
+    return f"wider bounds of {names}, if values beyond them are plausible" if names else ""
+
+
+def _missed_ahead(name: str, found: ChannelRecord, model: Model, wider: str) -> str:
     relied = "this fit" if lost_ahead(found) else f"predictions of `{name}`"
     return (
         f"predictions one row ahead follow `{name}` worse than {found.predictor} (R² {found.r2:.3g}, naive "
-        f"{found.naive:.3g}): do not rely on {relied}. The likelihood may have a higher maximum, or the disturbances "
-        f"are not of this form. {REMEDIES_AHEAD}"
+        f"{found.naive:.3g}). The likelihood may have a higher maximum, or the disturbances are not of this form: do "
+        f"not rely on {relied}. What may help: {', '.join([wider] * bool(wider) + _remedies_ahead(model))}"
     )
+
+
+def _remedies_ahead(model: Model) -> list[str]:
+    """What may help a fit with disturbances: nothing that its model has already, or has not to be changed."""
+    learned, inside = {k.name for k in model.learnables}, set[str]()
+    for one in model.diffusions:
+        inside |= {symbol.name for symbol in one.value.free_symbols} & learned
+    out = ["smaller starts of the sizes of disturbances"] if inside else []
+    if any(one.relative is None and one.between is None for one in model.diffusions):
+        out.append(
+            "disturbances in proportion to a state (`diffusion x = s*x`) where its values are positive over orders of "
+            "magnitude"
+        )
+    if learned - inside:
+        other = " other" if inside else ""
+        out.append(
+            f"starting values of the{other} constants nearer to what is meant (as from a fit without `diffusion`)"
+        )
+    return [*out, "or another model" if out else "another model"]
 
 
 def lacking(channels: Mapping[str, ChannelRecord]) -> list[str]:
@@ -173,12 +191,8 @@ def below_stated(
     freedom: float | None,
     tabled: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """A warning for each channel whose residuals are far smaller than the stated noise, by more than chance.
-
-    With the noise s stated, n times the squared ratio of the estimated to the stated standard deviation has the
-    chi-squared distribution of n degrees of freedom, here the channel's part of `freedom`; a median of residuals counts
-    like `OF_MEDIAN` of them. Nothing is said of exact data, and of residuals that are not those of measurements.
-    """
+    """A warning for each channel whose residuals are `far_smaller` than the stated noise, with the channel's part of
+    `freedom`. Nothing is said of exact data, and of residuals that are not those of measurements."""
     counted = sum(one.values or 0 for one in channels.values())
     if model.marginal or model.diffusions or freedom is None or not counted:
         return []
@@ -187,10 +201,10 @@ def below_stated(
         name, found = channel.name, channels.get(channel.name)
         if found is None or found.r2 is None or 1 - found.r2 <= EXACT or name in following:
             continue
-        left = OF_MEDIAN * freedom * (found.values or 0) / counted
+        left = freedom * (found.values or 0) / counted
         # Values with deviations of their own are compared with these: the number in the model is not theirs.
         times, what = next(iter(beside_stated(channel, noise, tabled)), (math.nan, ""))
-        if not 0 < times < 1 / ABOVE or not chdtr(left, left * times**2) <= BY_CHANCE:
+        if not far_smaller(times, left):
             continue
         follows = ", or the learned functions follow the noise" if model.networks else ""
         of_residuals = f"{100 * noise[name]:.2g} %" if _relative(channel) else f"{noise[name]:.2g}"
@@ -200,6 +214,17 @@ def below_stated(
             f"{of_residuals}"
         )
     return out
+
+
+def far_smaller(times: float, left: float) -> bool:
+    """Whether residuals that are so many `times` as large as the stated noise are far smaller, by more than chance.
+
+    With the noise s stated, n times the squared ratio of the estimated to the stated standard deviation has the
+    chi-squared distribution of n degrees of freedom, here `left`; a median of residuals counts like `OF_MEDIAN` of
+    them.
+    """
+    n = OF_MEDIAN * left
+    return 0 < times < 1 / ABOVE and bool(chdtr(n, n * times**2) <= BY_CHANCE)
 
 
 def _relative(channel: Channel) -> bool:
