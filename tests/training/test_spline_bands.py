@@ -60,7 +60,7 @@ def falling(noise: float, seed: int) -> Trajectories:
 
 def fitted(size: int, place: Path) -> Run:
     return fitting.fit(
-        model_of(TEXT.format(size=size)), falling(0.05, 3), place / "run", TrainOptions(threads=1, seed=1, effort="low")
+        model_of(TEXT.format(size=size)), falling(0.05, 1), place / "run", TrainOptions(threads=1, seed=1, effort="low")
     )
 
 
