@@ -220,23 +220,36 @@ def _not_determined(found: Sequence[tuple[str, tuple[float, float]]]) -> list[st
     ]
 
 
-def undetermined_own(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
-    """A warning of constants of single trajectories, without a distribution, whose intervals cover their bounds."""
-    found = dict[str, list[str]]()
+def undetermined_own(
+    model: Model, constants: Mapping[str, ConstantRecord], tested: AbstractSet[tuple[str, str]]
+) -> list[str]:
+    """Warnings of constants of single trajectories, without a distribution, whose intervals cover their bounds: of
+    those that were `tested` and found open, by name and label, and of the others."""
+    open_ones, untested = dict[str, list[str]](), dict[str, list[str]]()
     for k in model.learnables:
         record = constants.get(k.name) if k.per_trajectory and k.distribution is None else None
-        each = (record.per_trajectory or {}) if record is not None else {}
-        labels = [label for label, one in each.items() if covers(k.individual, one.interval)]
-        found |= {k.name: labels} if labels else {}
-    if not found:
-        return []
+        for label, one in ((record.per_trajectory or {}) if record is not None else {}).items():
+            if covers(k.individual, one.interval):
+                found = open_ones if (k.name, label) in tested else untested
+                found.setdefault(k.name, []).append(label)
+    return [_of_open_own(model, found, found is open_ones) for found in (open_ones, untested) if found]
+
+
+def _of_open_own(model: Model, found: Mapping[str, Sequence[str]], tested: bool) -> str:
     single = sum(map(len, found.values())) == 1
     whose, their, values = ("interval", "its", "value") if single else ("intervals", "their", "values")
-    return [
-        f"the 90 % {whose} of {listed_own(found)} {'covers' if single else 'cover'} {their} bounds: by the curvature "
-        f"at the estimate, from which intervals are computed, these data do not determine {their} {values}. A prior, a "
-        "value (`const`) or one value for all trajectories helps, or measurements of what they act on"
-    ]
+    known = f"these data do not determine {their} {values}"
+    if not tested:
+        known = (
+            f"the curvature at the estimate, from which intervals are computed, leaves {'it' if single else 'them'} "
+            "open; whether the data do was not tested"
+        )
+    prior = any(k.prior is None for k in model.learnables if k.name in found)
+    return (
+        f"the 90 % {whose} of {listed_own(found)} {'covers' if single else 'cover'} {their} bounds: {known}. "
+        f"{'A prior, a' if prior else 'A'} value (`const`) or one value for all trajectories helps, or measurements of "
+        f"what {'it acts' if single else 'they act'} on"
+    )
 
 
 def listed_own(found: Mapping[str, Sequence[str]]) -> str:
@@ -259,12 +272,13 @@ def said_of_constants(
 ) -> list[str]:
     """What is said of constants that the data do not determine, or that `ended` at bounds; members that follow no data
     say nothing of them."""
-    astray = _lost(results)
+    astray = lost(results)
     at_limits = said_of_limits(model, ended, results)
     meant = [one for one in ended if one[1] not in results[one[0]].vanished]
     known = {name: text for (_, name), text in at_limits.items()}
     followed = len(astray) < len(results)
-    unclear = [*undetermined(model, constants, known), *undetermined_own(model, constants)] if followed else []
+    tested = {one for result in results.values() for one in result.open_own}
+    unclear = [*undetermined(model, constants, known), *undetermined_own(model, constants, tested)] if followed else []
     beside = {
         (member, name): results[member].constants[name]
         for member, name, bound in meant
@@ -305,7 +319,7 @@ def unsettled(
 ) -> list[str]:
     """Warnings of constants that alone of all have no interval, and for no reason that is told elsewhere: shared ones,
     and those of single trajectories."""
-    own = _unsettled_own(constants, {one for result in results.values() for one in result.misjudged_own})
+    own = _unsettled_own(constants, {n for one in results.values() for n in one.misjudged_own | one.bounded_own})
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
     told = " ".join(text for one in results.values() for text in (*one.tied, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
@@ -375,7 +389,7 @@ def ended_at_bounds(
     ]
 
 
-def _lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
+def lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
     """The members of which whole solutions follow no channel better than the best naive predictor, or predictions one
     row ahead are far worse than it for all of them."""
     return frozenset(

@@ -99,7 +99,11 @@ class MemberResult:
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
     misjudged_own: frozenset[tuple[str, str]] = frozenset()
-    """The same of constants of single trajectories, with the labels of these."""
+    """The same of constants of single trajectories, with the labels of these,"""
+    open_own: frozenset[tuple[str, str]] = frozenset()
+    """those that the data leave open too, as a test found,"""
+    bounded_own: frozenset[tuple[str, str]] = frozenset()
+    """and those that ended at bounds."""
     at_most: dict[str, float] = field(default_factory=dict)
     """Standard deviations with which constants whose curvature is no measure count in predictions, which need finite
     ones; 0: as known."""
