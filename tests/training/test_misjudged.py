@@ -6,15 +6,18 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import gbspec
-from gbspec.runs import FitRecord
+from gbspec.runs import ConstantRecord, FitRecord, OwnRecord
 from gbspec.training.population import Objective, PopulationResult, result_at
+from gbspec.training.problem import Parameters
 from gbspec.training.runs import misjudged, misjudged_own, populations
+from gbspec.training.runs.constants import undetermined_own
 from gbspec.training.runs.deviance import held_by_data
 from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
@@ -135,6 +138,25 @@ def test_open_constants_of_single_trajectories_are_told(tmp_path: Path) -> None:
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     (said,) = [text for text in fit.warnings if "the 90 % interval of `k` of `b` covers its bounds" in text]
     assert "these data do not determine its value. A prior, a value" in said and said.endswith("what it acts on")
+
+
+def test_a_prior_is_not_advised_where_there_is_one(tmp_path: Path) -> None:
+    learned = "learn a in [0.01, 10] prior lognormal(1, 2) per trajectory\nlearn b = 1 in [0.01, 10] per trajectory\n"
+    (tmp_path / "m.gb").write_text(f"model m\nstate x = 1\n{learned}x' = -a*x - b\nobserve x\n")
+    model = gbspec.load(tmp_path / "m.gb").model
+    each = {label: OwnRecord(1.0, 3.0, (0.01, 10.0)) for label in "TU"}
+    known = {k: ConstantRecord(1.0, None, None, 1.0, (1.0,), each) for k in "ab"}
+    (said,) = undetermined_own(model, {"a": known["a"]}, {("a", "T"), ("a", "U")})
+    assert "these data do not determine their values. A narrower prior, a value" in said
+    open_ones, untested = undetermined_own(model, known, {("a", "T")})
+    assert open_ones.startswith("the 90 % interval of `a` of `T` covers its bounds") and "A narrower prior" in open_ones
+    assert untested.startswith("the 90 % intervals of `a` of `U`; `b` of `T`, `U` cover") and ". A prior" in untested
+
+
+@pytest.mark.parametrize(("labels", "said"), [("A", "fit without `per"), ("AB", "fit one trajectory alone, without")])
+def test_intervals_of_constants_per_trajectory_are_offered_by_a_profile_that_has_them(labels: str, said: str) -> None:
+    result = cast(MemberResult, SimpleNamespace(labels=list(labels)))
+    assert said in misjudged_own._profiled(result, cast(Parameters, SimpleNamespace(n_shared=0)))
 
 
 Asked = tuple[MemberResult, Objective, PopulationResult]
