@@ -40,7 +40,16 @@ def member(channel: ChannelRecord, k: float) -> MemberResult:
     known = {"channels": {"x": channel}, "constants": {"k": k}, "sd": {"k": 1.0}}
     none = frozenset[str]()
     found = SimpleNamespace(
-        tied=[], notes=[], vanished=none, misjudged=none, misjudged_own=none, finished=True, likelihood=None, **known
+        tied=[],
+        notes=[],
+        vanished=none,
+        misjudged=none,
+        misjudged_own=none,
+        open_own=none,
+        bounded_own=none,
+        finished=True,
+        likelihood=None,
+        **known,
     )
     return cast(MemberResult, found)
 
@@ -91,6 +100,27 @@ def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert any("`k` ended at its bound 2" in warning for warning in fit.warnings) is stopped
     assert (fit.constants["k"].interval is None) is stopped
+
+
+@pytest.mark.parametrize("also", ["", "learn b = 0.9 in [0.2, 5]"])
+def test_a_constant_of_a_trajectory_that_ended_at_its_bound_is_told_so(tmp_path: Path, also: str) -> None:
+    """Not that the data leave it open, nor that the curvature does; the second trajectory does not decay at all."""
+    rate = "-k*x*b" if also else "-k*x"
+    (tmp_path / "m.gb").write_text(
+        f"model m\ntime t from 0\nstate x in [0, 2]\nlearn k = 0.5 in [0.04, 10] per trajectory\n{also}\n"
+        f"x' = {rate}\ninitial x = 1\nobserve x\n"
+    )
+    random, lines = np.random.default_rng(1), ["trajectory,t,x"]
+    for label, k in (("a", 1.0), ("b", 0.0), ("c", 2.0)):
+        values = np.exp(-k * np.arange(1, 9) / 4) + 0.02 * random.standard_normal(8)
+        lines += [f"{label},{t / 4},{value:.4f}" for t, value in enumerate(values, 1)]
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    each = fit.constants["k"].per_trajectory
+    assert each is not None and each["b"].interval is None
+    (said,) = [text for text in fit.warnings if "`k` of `b`" in text]
+    assert "`k` of `b` ended at its bound 0.04, where no interval holds; widen the bounds" in said
+    assert not any("`k` has no interval" in text for text in fit.warnings), fit.warnings
 
 
 @pytest.mark.parametrize(

@@ -6,15 +6,18 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import gbspec
-from gbspec.runs import FitRecord
+from gbspec.runs import ConstantRecord, FitRecord, OwnRecord
 from gbspec.training.population import Objective, PopulationResult, result_at
-from gbspec.training.runs import misjudged, populations
+from gbspec.training.problem import Parameters
+from gbspec.training.runs import misjudged, misjudged_own, populations
+from gbspec.training.runs.constants import undetermined_own
 from gbspec.training.runs.deviance import held_by_data
 from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
@@ -70,6 +73,57 @@ def test_rates_of_single_trajectories_that_meet_are_not_called_undetermined(tmp_
     assert each is not None and all(one.interval is None for one in each.values())
     (said,) = [text for text in fit.warnings if "`ka`" in text]
     assert "`ka` of `0`, `1`; `ke` of `0`, `1`" in said and "no interval: the curvature at the estimate" in said
+    assert "for example with ka = " in said and "fit one trajectory alone, without `per trajectory`" in said
+
+
+RATES_OF_THEIR_OWN = """\
+model turns
+time t from 0
+state A in [0, 30]
+state G in [0, 30]
+learn ka = 1 in [0.01, 100] per trajectory
+learn ke = 0.5 in [0.01, 100] per trajectory
+learn g = 1 in [0.1, 10]
+initial A = 10
+initial G = 0
+A' = -ka*A
+G' = ka*A - ke*G
+observe z = g*ke*G
+"""
+"""Two rates of each trajectory, and a constant of all of them."""
+
+
+def sharper(path: Path) -> Path:
+    """Curves of three trajectories that are sharper than two rates in turn allow."""
+    random, t = np.random.default_rng(4), np.linspace(0.25, 10, 30)
+    lines = ["trajectory,t,z"]
+    for i, k in enumerate((0.4, 0.41, 0.42)):
+        values = 10 * k**2.15 * t**1.15 * np.exp(-k * t) / 1.073 + 0.05 * random.standard_normal(len(t))
+        lines += [f"{i},{a},{b:.4f}" for a, b in zip(t, values, strict=True)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_rates_of_single_trajectories_beside_a_shared_constant_are_tested_too(tmp_path: Path) -> None:
+    (tmp_path / "m.gb").write_text(RATES_OF_THEIR_OWN)
+    data = sharper(tmp_path / "d.csv")
+    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run.fit
+    (said,) = [text for text in fit.warnings if "`ka`" in text]
+    assert "`ka` of `0`, `1`, `2`; `ke` of `0`, `1`, `2` have no interval: the curvature" in said
+    assert "profile" not in said  # of one trajectory alone, the shared constant would be another
+
+
+def test_constants_of_single_trajectories_that_were_not_tested_are_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(misjudged_own, "MOST_TOGETHER", 2)
+    (tmp_path / "m.gb").write_text(RATES_OF_THEIR_OWN)
+    data = sharper(tmp_path / "d.csv")
+    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low", workers=1).run.fit
+    held, untested = [text for text in fit.warnings if "`ka`" in text]
+    assert "`ka` of `0`; `ke` of `0` have no interval" in held
+    assert "`ka` of `1`, `2`; `ke` of `1`, `2` cover their bounds" in untested and "was not tested" in untested
+    assert not any("do not determine" in text for text in fit.warnings), fit.warnings
 
 
 def test_open_constants_of_single_trajectories_are_told(tmp_path: Path) -> None:
@@ -82,7 +136,27 @@ def test_open_constants_of_single_trajectories_are_told(tmp_path: Path) -> None:
         lines += [f"{label},{t},{size * np.exp(-t / 2) + e * (t > 0):.4f}" for t, e in enumerate(noise)]
     (tmp_path / "d.csv").write_text("\n".join(lines) + "\n")
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
-    assert any("the 90 % interval of `k` of `b` covers its bounds" in text for text in fit.warnings), fit.warnings
+    (said,) = [text for text in fit.warnings if "the 90 % interval of `k` of `b` covers its bounds" in text]
+    assert "these data do not determine its value. A prior, a value" in said and said.endswith("what it acts on")
+
+
+def test_a_prior_is_not_advised_where_there_is_one(tmp_path: Path) -> None:
+    learned = "learn a in [0.01, 10] prior lognormal(1, 2) per trajectory\nlearn b = 1 in [0.01, 10] per trajectory\n"
+    (tmp_path / "m.gb").write_text(f"model m\nstate x = 1\n{learned}x' = -a*x - b\nobserve x\n")
+    model = gbspec.load(tmp_path / "m.gb").model
+    each = {label: OwnRecord(1.0, 3.0, (0.01, 10.0)) for label in "TU"}
+    known = {k: ConstantRecord(1.0, None, None, 1.0, (1.0,), each) for k in "ab"}
+    (said,) = undetermined_own(model, {"a": known["a"]}, {("a", "T"), ("a", "U")})
+    assert "these data do not determine their values. A narrower prior, a value" in said
+    open_ones, untested = undetermined_own(model, known, {("a", "T")})
+    assert open_ones.startswith("the 90 % interval of `a` of `T` covers its bounds") and "A narrower prior" in open_ones
+    assert untested.startswith("the 90 % intervals of `a` of `U`; `b` of `T`, `U` cover") and ". A prior" in untested
+
+
+@pytest.mark.parametrize(("labels", "said"), [("A", "fit without `per"), ("AB", "fit one trajectory alone, without")])
+def test_intervals_of_constants_per_trajectory_are_offered_by_a_profile_that_has_them(labels: str, said: str) -> None:
+    result = cast(MemberResult, SimpleNamespace(labels=list(labels)))
+    assert said in misjudged_own._profiled(result, cast(Parameters, SimpleNamespace(n_shared=0)))
 
 
 Asked = tuple[MemberResult, Objective, PopulationResult]

@@ -415,6 +415,24 @@ def test_constants_of_trajectories_have_intervals_of_their_own(own_sd: tuple[flo
     assert all(said in text for text in found)
 
 
+def test_a_fit_whose_constants_of_trajectories_have_no_interval_for_reasons_that_are_told_has_come_to_rest() -> None:
+    known = replace(
+        fitted(np.nan, 0.9, StageRecord("least squares", 1, 0.1, 1.0)),
+        channels={"x": ChannelRecord(0.9, 0.0)},
+        labels=["a", "b"],
+        noise={"x": 0.1},
+        own=np.ones((2, 1)),
+        own_sd=np.full((2, 1), np.nan),
+    )
+    both, record = (
+        frozenset({("k", "a"), ("k", "b")}),
+        FitRecord("0", "m", DataRecord("", "", 2, 4, 4), *[{}] * 4, (), ()),
+    )
+    for told in ({"misjudged_own": both}, {"bounded_own": both}):
+        warnings = completed(record, model_of(EACH), {0: replace(known, **told)}, TrainOptions(members=1)).warnings
+        assert not any("come to rest" in text for text in warnings), warnings
+
+
 def test_nothing_shared_is_not_missed_in_predictions(tmp_path: Path) -> None:
     times = np.linspace(0.0, 2.0, 9)
     noise = 0.02 * np.random.default_rng(4).standard_normal((2, 9))

@@ -18,6 +18,7 @@ from gbspec.runs import NORMAL_90, ConstantRecord, OwnRecord, quantile
 from gbspec.training.problem import CLOSE, NARROW, Bijection, Bijections
 from gbspec.training.runs.beside_naive import lost_ahead
 from gbspec.training.runs.limiting_noise import said_of_limits
+from gbspec.training.runs.naming import labelled
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import named_inseparable, not_followed
 
@@ -31,8 +32,6 @@ NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
 COVERED = 0.9
 """An interval that covers this fraction of the bounds says no more than they do."""
-NAMED = 5
-"""So many labels of trajectories are listed."""
 SPELLED_OUT = 2
 """So many pairs and groups of correlated constants have a warning each; more of them share one."""
 EXACT = 1e-20
@@ -190,7 +189,7 @@ def undetermined(
                 f"{at_limits.get(learnable.name, otherwise)}"
             )
         else:
-            open_ones.append((learnable.name, record.interval))
+            open_ones.append((learnable, record.interval))
     return [*_not_determined(open_ones), *at_bound]
 
 
@@ -204,51 +203,59 @@ def covers(learnable: Learnable, interval: tuple[float, float] | None) -> bool:
     return bool(abs(high - low) >= COVERED * abs(most - least))
 
 
-def _not_determined(found: Sequence[tuple[str, tuple[float, float]]]) -> list[str]:
+def _not_determined(found: Sequence[tuple[Learnable, tuple[float, float]]]) -> list[str]:
     """One warning of all constants whose intervals cover their bounds."""
+    narrower = "narrower " * all(k.prior is not None for k, _ in found)
     if len(found) > 1:
-        names = [f"`{name}`" for name, _ in found]
+        names = [f"`{k.name}`" for k, _ in found]
         return [
             f"{', '.join(names[:-1])} and {names[-1]} are not determined by these data: their 90 % intervals cover "
-            "their bounds. Give them values (`const`) or priors if something is known of them, or measure what they "
-            "act on"
+            f"their bounds. Give them values (`const`) or {narrower}priors if something is known of them, or measure "
+            "what they act on"
         ]
     return [
-        f"`{name}` is not determined by these data: its 90 % interval, {low:.4g} to {high:.4g}, covers its bounds. "
-        "Give it a value (`const`) or a prior if something is known of it, or measure what it acts on"
-        for name, (low, high) in found
+        f"`{k.name}` is not determined by these data: its 90 % interval, {low:.4g} to {high:.4g}, covers its bounds. "
+        f"Give it a value (`const`) or a {narrower}prior if something is known of it, or measure what it acts on"
+        for k, (low, high) in found
     ]
 
 
-def undetermined_own(model: Model, constants: Mapping[str, ConstantRecord]) -> list[str]:
-    """A warning of constants of single trajectories, without a distribution, whose intervals cover their bounds."""
-    found = dict[str, list[str]]()
+def undetermined_own(
+    model: Model, constants: Mapping[str, ConstantRecord], tested: AbstractSet[tuple[str, str]]
+) -> list[str]:
+    """Warnings of constants of single trajectories, without a distribution, whose intervals cover their bounds: of
+    those that were `tested` and found open, by name and label, and of the others."""
+    open_ones, untested = dict[str, list[str]](), dict[str, list[str]]()
     for k in model.learnables:
         record = constants.get(k.name) if k.per_trajectory and k.distribution is None else None
-        each = (record.per_trajectory or {}) if record is not None else {}
-        labels = [label for label, one in each.items() if covers(k.individual, one.interval)]
-        found |= {k.name: labels} if labels else {}
-    if not found:
-        return []
+        for label, one in ((record.per_trajectory or {}) if record is not None else {}).items():
+            if covers(k.individual, one.interval):
+                found = open_ones if (k.name, label) in tested else untested
+                found.setdefault(k.name, []).append(label)
+    return [_of_open_own(model, found, found is open_ones) for found in (open_ones, untested) if found]
+
+
+def _of_open_own(model: Model, found: Mapping[str, Sequence[str]], tested: bool) -> str:
     single = sum(map(len, found.values())) == 1
     whose, their, values = ("interval", "its", "value") if single else ("intervals", "their", "values")
-    return [
-        f"the 90 % {whose} of {listed_own(found)} {'covers' if single else 'cover'} {their} bounds: by the curvature "
-        f"at the estimate, from which intervals are computed, these data do not determine {their} {values}. A prior, a "
-        "value (`const`) or one value for all trajectories helps, or measurements of what they act on"
-    ]
+    known = f"these data do not determine {their} {values}"
+    if not tested:
+        known = (
+            f"the curvature at the estimate, from which intervals are computed, leaves {'it' if single else 'them'} "
+            "open; whether the data do was not tested"
+        )
+    narrower = "narrower " * all(k.prior is not None for k in model.learnables if k.name in found)
+    return (
+        f"the 90 % {whose} of {listed_own(found)} {'covers' if single else 'cover'} {their} bounds: {known}. "
+        f"A {narrower}prior, a value (`const`) or one value for all trajectories helps, or measurements of what "
+        f"{'it acts' if single else 'they act'} on"
+    )
 
 
 def listed_own(found: Mapping[str, Sequence[str]]) -> str:
     """Constants with the labels of the trajectories in which something holds."""
-    each = [f"`{name}` of {_labels(labels)}" for name, labels in found.items()]
+    each = [f"`{name}` of {labelled(labels)}" for name, labels in found.items()]
     return "; ".join(each)
-
-
-def _labels(labels: Sequence[str]) -> str:
-    """Labels of trajectories, not all where there are many."""
-    listed = ", ".join(f"`{label}`" for label in labels[:NAMED])
-    return listed + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
 
 
 def said_of_constants(
@@ -259,12 +266,13 @@ def said_of_constants(
 ) -> list[str]:
     """What is said of constants that the data do not determine, or that `ended` at bounds; members that follow no data
     say nothing of them."""
-    astray = _lost(results)
+    astray = lost(results)
     at_limits = said_of_limits(model, ended, results)
     meant = [one for one in ended if one[1] not in results[one[0]].vanished]
     known = {name: text for (_, name), text in at_limits.items()}
     followed = len(astray) < len(results)
-    unclear = [*undetermined(model, constants, known), *undetermined_own(model, constants)] if followed else []
+    tested = {one for result in results.values() for one in result.open_own}
+    unclear = [*undetermined(model, constants, known), *undetermined_own(model, constants, tested)] if followed else []
     beside = {
         (member, name): results[member].constants[name]
         for member, name, bound in meant
@@ -305,7 +313,7 @@ def unsettled(
 ) -> list[str]:
     """Warnings of constants that alone of all have no interval, and for no reason that is told elsewhere: shared ones,
     and those of single trajectories."""
-    own = _unsettled_own(constants, {one for result in results.values() for one in result.misjudged_own})
+    own = _unsettled_own(constants, {n for one in results.values() for n in one.misjudged_own | one.bounded_own})
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
     told = " ".join(text for one in results.values() for text in (*one.tied, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
@@ -338,8 +346,8 @@ def _unsettled_own(constants: Mapping[str, ConstantRecord], explained: AbstractS
         without = [label for label, one in each.items() if one.sd is None and (name, label) not in explained]
         if without and len(without) < len(each):
             out.append(
-                f"`{name}` has no interval in {len(without)} of {len(each)} trajectories ({_labels(without)}): the fit "
-                "has not come to rest there (a next step would be longer than the standard deviation), as where a "
+                f"`{name}` has no interval in {len(without)} of {len(each)} trajectories ({labelled(without)}): the "
+                "fit has not come to rest there (a next step would be longer than the standard deviation), as where a "
                 "value lies at a bound or the rows hardly show it. A prior helps, or one value for all trajectories"
             )
     return out
@@ -375,7 +383,7 @@ def ended_at_bounds(
     ]
 
 
-def _lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
+def lost(results: Mapping[int, MemberResult]) -> frozenset[int]:
     """The members of which whole solutions follow no channel better than the best naive predictor, or predictions one
     row ahead are far worse than it for all of them."""
     return frozenset(

@@ -18,7 +18,7 @@ from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, only_in_jumps
 from gbspec.training.runs.constants import EXACT, at_bounds, covers, half_width, inside_bounds
 from gbspec.training.runs.deviance import Deviance, Held, Rise, held_by_data
-from gbspec.training.runs.misjudged_own import open_own, taken_own, taken_with_shared
+from gbspec.training.runs.misjudged_own import open_own, taken_own
 from gbspec.training.runs.summary import MemberResult
 
 EQUAL = 0.05
@@ -43,10 +43,7 @@ def without_misjudged(
         return []
     each = (deviance.held(k, parameters.n_weights + shared.index(k), result.constants[k.name]) for k in open_ones)
     found = [one for one in each if one is not None]
-    said = _taken(result, found)
-    if parameters.n_shared:
-        return [*said, *taken_with_shared(result, own if said else [])]
-    return [*said, *taken_own(result, deviance, own)]
+    return [*_taken(result, found), *taken_own(result, deviance, parameters, own)]
 
 
 def misjudged_of_population(result: MemberResult, objective: Objective, found: PopulationResult) -> list[str]:

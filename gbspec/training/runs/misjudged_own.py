@@ -1,92 +1,75 @@
 """Constants of single trajectories whose intervals, by the curvature, cover their bounds: whether the data hold them.
 
-The test is that of constants that trajectories share (`misjudged`), for each trajectory by itself.
+The test is that of constants that trajectories share (`misjudged`); of trajectories that share nothing that is learned,
+for each by itself.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-from gbspec.ir import Learnable, Model
-from gbspec.training.runs.constants import covers, half_width, inside_bounds, listed_own
-from gbspec.training.runs.deviance import Deviance
+from gbspec.ir import Model
+from gbspec.training.problem import Parameters
+from gbspec.training.runs.constants import covers, half_width, inside_bounds
+from gbspec.training.runs.deviance import Deviance, Held
+from gbspec.training.runs.ended_own import Own, listed, own_constants, without_interval
 from gbspec.training.runs.summary import MemberResult
 
 MOST = 60
-"""So many constants of single trajectories are tested; of a fit with more open ones, none beyond."""
-
-
-@dataclass(frozen=True)
-class Own:
-    """A constant that trajectories have for themselves: its place among these, and the trajectory."""
-
-    learnable: Learnable
-    place: int
-    trajectory: int
+"""So many constants of single trajectories are tested; of a fit with more open ones, none beyond,"""
+MOST_TOGETHER = 12
+"""and so many where trajectories share learned constants, since each test fits all trajectories again."""
 
 
 def open_own(result: MemberResult, model: Model) -> list[Own]:
     """Those whose intervals cover their bounds, trajectory by trajectory."""
-    own = [k.individual for k in model.learnables if k.per_trajectory and k.distribution is None]
-    if result.own_sd.shape[1] != len(own):
-        return []
     half, found = half_width([result]), []
-    for i, row in enumerate(result.own_sd):
-        for j, (learnable, sd) in enumerate(zip(own, row, strict=True)):
-            known = math.isfinite(sd) and sd > 0
-            interval = inside_bounds(learnable, result.own[i, j], sd, half) if known else None
-            if covers(learnable, interval):
-                found.append(Own(learnable, j, i))
+    for one in own_constants(result, model):
+        value, sd = _estimate(result, one), float(result.own_sd[one.trajectory, one.place])
+        if (one.learnable.name, result.labels[one.trajectory]) in result.bounded_own:
+            continue
+        interval = inside_bounds(one.learnable, value, sd, half) if math.isfinite(sd) and sd > 0 else None
+        if covers(one.learnable, interval):
+            found.append(one)
     return found
 
 
-def taken_own(result: MemberResult, deviance: Deviance, open_ones: Sequence[Own]) -> list[str]:
-    """Takes their standard deviations from those that the data hold, where trajectories share nothing that is learned;
-    a sentence of them."""
-    each = ((one, deviance.alone(one.trajectory)) for one in open_ones[:MOST])
-    tested = ((one, alone.held(one.learnable, one.place, _estimate(result, one))) for one, alone in each)
-    held = [(one, found) for one, found in tested if found is not None]
+def taken_own(result: MemberResult, deviance: Deviance, parameters: Parameters, open_ones: Sequence[Own]) -> list[str]:
+    """Takes their standard deviations from those that the data hold, and keeps which ones they leave open; a sentence
+    of the former."""
+    tested = open_ones[: MOST_TOGETHER if parameters.n_shared else MOST]
+    each = [(one, _held(one, deviance, parameters, _estimate(result, one))) for one in tested]
+    left = [one for one, found in each if found is None]
+    result.open_own |= frozenset((one.learnable.name, result.labels[one.trajectory]) for one in left)
+    held = [(one, found) for one, found in each if found is not None]
     if not held:
         return []
-    listed, (one, found) = _without(result, [one for one, _ in held]), held[0]
-    worse = f"{one.learnable.name} = {' or '.join(f'{value:.3g}' for value in found.worse)} in `{_label(result, one)}`"
+    ones, (one, found) = [one for one, _ in held], held[0]
+    result.misjudged_own |= without_interval(result, ones)
+    example, it, have = ("", "it", "has") if len(ones) == 1 else ("for example ", "them", "have")
+    worse = f"{one.learnable.name} = {' or '.join(f'{value:.3g}' for value in found.worse)}"
     return [
-        f"{listed} {_HAVE[len(held) == 1]} no interval: the curvature at the estimate, from which intervals are "
-        f"computed, leaves {'it' if len(held) == 1 else 'them'} open, and the data do not: with {worse}, and all else "
-        "refitted, the fit is clearly worse. `gbspec profile` gives intervals of constants that are not `per "
-        "trajectory`: fit one of these trajectories alone"
+        f"{listed(result, ones)} {have} no interval: the curvature at the estimate, from which intervals are computed, "
+        f"leaves {it} open, and the data do not: {example}with {worse} in `{result.labels[one.trajectory]}`, and all "
+        f"else refitted, the fit is clearly worse{_profiled(result, parameters)}"
     ]
 
 
-def taken_with_shared(result: MemberResult, open_ones: Sequence[Own]) -> list[str]:
-    """Takes their standard deviations from those that are open by the curvature that misjudges shared constants; a
-    sentence of them."""
-    if not open_ones:
-        return []
-    return [
-        f"{_without(result, open_ones)} {_HAVE[len(open_ones) == 1]} no interval: the curvature that misjudges "
-        "constants of all trajectories says nothing there either"
-    ]
+def _held(one: Own, deviance: Deviance, parameters: Parameters, estimate: float) -> Held | None:
+    if parameters.n_shared:
+        column = parameters.n_shared + one.trajectory * parameters.n_local + one.place
+        return deviance.held(one.learnable, column, estimate)
+    return deviance.alone(one.trajectory).held(one.learnable, one.place, estimate)
 
 
-_HAVE = {True: "has", False: "have"}
-
-
-def _without(result: MemberResult, ones: Sequence[Own]) -> str:
-    """The constants, after their standard deviations have been taken."""
-    listed = dict[str, list[str]]()
-    for one in ones:
-        name, label = one.learnable.name, _label(result, one)
-        result.own_sd[one.trajectory, one.place] = math.nan
-        result.misjudged_own |= {(name, label)}
-        listed.setdefault(name, []).append(label)
-    return listed_own(listed)
-
-
-def _label(result: MemberResult, one: Own) -> str:
-    return result.labels[one.trajectory]
+def _profiled(result: MemberResult, parameters: Parameters) -> str:
+    """How an interval can be had: `profile` has none of constants per trajectory."""
+    if len(result.labels) == 1:
+        return ". For an interval, fit without `per trajectory`, and use `gbspec profile`"
+    if parameters.n_shared:  # what all trajectories say of those would be lost in a fit of one
+        return ""
+    return ". For an interval, fit one trajectory alone, without `per trajectory`, and use `gbspec profile`"
 
 
 def _estimate(result: MemberResult, one: Own) -> float:

@@ -21,6 +21,7 @@ from gbspec.data import Trajectory, evaluate
 from gbspec.ir import Channel, Model, symbol
 from gbspec.runs import EXACT, ChannelRecord, autocorrelated
 from gbspec.training.problem import Integers, Problem, in_time, residuals_of
+from gbspec.training.runs.naming import some_of
 from gbspec.training.runs.offered import rounded
 from gbspec.training.runs.verdict import not_followed
 
@@ -174,11 +175,10 @@ def said_of_outlying(
 def _where(places: Sequence[Place], model: Model, several: bool) -> str:
     """The times of the first places; with their trajectories, if there are several."""
     spelled = []
-    for place in places[:NAMED]:
+    for place in places:
         span = f"{place.first:.6g}" if place.rows == 1 else f"{place.first:.6g} to {place.last:.6g}"
         spelled.append(f"{span} of trajectory `{place.trajectory}`" if several else span)
-    more = f" and {len(places) - NAMED} more" if len(places) > NAMED else ""
-    return f"{model.time.name} = {', '.join(spelled)}{more}"
+    return f"{model.time.name} = {some_of(spelled, NAMED)}"
 
 
 def _at_switches(one: Outlying, channel: str, count: int) -> str:

@@ -35,6 +35,7 @@ from gbspec.training.recipe import (
     unstable_as_learned,
 )
 from gbspec.training.runs.moved_starts import moved_starts
+from gbspec.training.runs.naming import labelled
 from gbspec.training.runs.negative_states import negative_states
 from gbspec.training.runs.outlying import Outlying, outlying_rows
 from gbspec.training.runs.stated import to_stated_noise
@@ -100,7 +101,11 @@ class MemberResult:
     misjudged: frozenset[str] = frozenset()
     """Constants without a standard deviation since the curvature leaves them open and the data do not."""
     misjudged_own: frozenset[tuple[str, str]] = frozenset()
-    """The same of constants of single trajectories, with the labels of these."""
+    """The same of constants of single trajectories, with the labels of these,"""
+    open_own: frozenset[tuple[str, str]] = frozenset()
+    """those that the data leave open too, as a test found,"""
+    bounded_own: frozenset[tuple[str, str]] = frozenset()
+    """and those that ended at bounds."""
     at_most: dict[str, float] = field(default_factory=dict)
     """Standard deviations with which constants whose curvature is no measure count in predictions, which need finite
     ones; 0: as known."""
@@ -249,7 +254,7 @@ def only_at_its_step(
     labels = {packed.labels[i] for i in packed.row_trajectory[blown.any(axis=1)]} - set(failed)
     if not labels:
         return []
-    listed = ", ".join(f"`{label}`" for label in sorted(labels)[:5]) + (", ..." if len(labels) > 5 else "")
+    listed = labelled(sorted(labels))
     return [
         f"at half the solver's step ({context.max_step * fraction / 2:.3g}) solutions of {listed} blow up or are far "
         "from the data: the fit follows them by the error of its steps. Do not rely on it; fit again with a smaller "

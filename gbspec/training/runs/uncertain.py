@@ -9,6 +9,7 @@ from gbspec.arrays import Array
 from gbspec.runs import Certainties
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context
+from gbspec.training.runs.ended_own import without_own_at_bounds
 from gbspec.training.runs.jumping import without_jumping
 from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.small_disturbances import without_disturbances
@@ -28,7 +29,8 @@ def take_uncertain(
     """Takes their standard deviations from these constants, with what is to be said of them, and returns what is
     `known` without theirs. `stages` are those that led to the result."""
     if not context.model.marginal:
-        for without in (without_tied, without_misjudged, without_disturbances, without_jumping):
+        each = without_tied, without_own_at_bounds, without_misjudged, without_disturbances, without_jumping
+        for without in each:
             result.tied += without(result, context, parameters, theta, stages)
     result.tied += without_unmoved(result, context, stages)
     covariance = known.covariance

@@ -15,6 +15,7 @@ from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
 from gbspec.training.problem import share_that_counts
 from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
+from gbspec.training.runs.naming import labelled
 from gbspec.training.runs.offered import offered
 
 GOOD = 0.9
@@ -130,11 +131,9 @@ def lacking(channels: Mapping[str, ChannelRecord]) -> list[str]:
 
 def blown_up(labels: Sequence[str]) -> str:
     """What is said of trajectories whose solutions are not finite."""
-    names = ", ".join(f"`{label}`" for label in labels[:5])
-    more = f" and {len(labels) - 5} more" if len(labels) > 5 else ""
     which = "trajectory" if len(labels) == 1 else "trajectories"
     rest = "this trajectory does" if len(labels) == 1 else "these trajectories do"
-    return f"the solution from the initial state blows up in {which} {names}{more}; {rest} not count as fitted"
+    return f"the solution from the initial state blows up in {which} {labelled(labels)}; {rest} not count as fitted"
 
 
 def not_followed(found: ChannelRecord | None) -> bool:

@@ -50,7 +50,9 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     each = np.array(list(shared.values()), dtype=np.float64)
     deviations = each if shared else result.own_sd
     told = result.bounded | result.tied_to_bounds  # by themselves, with the reason why they have no interval
-    at_rest = result.misjudged or (shared and shared.keys() <= told) or without_whole(result.notes)
+    told_own = result.misjudged_own | result.bounded_own
+    explained = shared.keys() <= told if shared else len(told_own) == result.own_sd.size
+    at_rest = result.misjudged or result.misjudged_own or explained or without_whole(result.notes)
     if not deviations.size or np.isfinite(deviations).any() or at_rest:
         # A standard deviation of zero is that of a constant at a bound, which has no interval either.
         every = np.concatenate([each, np.ravel(result.own_sd)])
