@@ -52,10 +52,11 @@ class LevenbergOptions:
     """Settings of a stage and its criteria of termination.
 
     `robust`: Huber's function, else least squares; `most`: its largest limit, in standard deviations of the data;
-    `tolerance`: relative decrease below which (twice in a row) the stage ends; `enough`: mean loss below which it ends at once, or a function of a vector and its residuals that
-    returns this loss; `damping`: the initial one; `ridge`: precision of the weights' prior in units of squared
-    residuals; `evidence`: re-estimate the ridge from the data after each iteration; `spread`: with `evidence`, also a
-    move of the predictions below this many of their standard deviations (root mean square, twice in a row) ends it.
+    `tolerance`: relative decrease below which (twice in a row) the stage ends; `enough`: mean loss below which it ends
+    at once, or a function of a vector and its residuals that returns this loss; `damping`: the initial one; `ridge`:
+    precision of the weights' prior in units of squared residuals; `evidence`: re-estimate the ridge from the data after
+    each iteration; `spread`: with `evidence`, also a move of the predictions below this many of their standard
+    deviations (root mean square, twice in a row) ends it.
     """
 
     robust: bool = True
