@@ -64,7 +64,7 @@ class PredictedTrajectory:
     `measured` [R, C] are the values to compare with, without those of absent states; `used` gives the use of each row,
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
     are multiplicative, `counted` [V] those that are counts; `quantile` is half their width in standard deviations.
-    `alike` is the label of the trajectory of the training data that has the same rows, or first rows, if it is another.
+    `alike` is the label of the trajectory of the training data that has the same rows, if it is another one.
     `others` are further means and deviations [R, V], of rows that may be on the other side of an event.
     """
 
@@ -410,8 +410,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     counted = np.pad(counted_channels(model), (0, mean.shape[1] - channels))
     outside = known.outside(model, item, states, first)
     labels = labels_of(each[0].evaluator.instance)
-    place = position if position is not None else longer[0] if goes_on and longer is not None else None
-    alike = labels[place] if place is not None and start.origin in ("learned", "continued") and labels else ""
+    alike = labels[position] if position is not None and start.origin == "learned" and labels else ""
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
                                in_logarithms, failure, each[0].run.fit.quantile, counted, others,
                                "" if alike == item.label else alike)  # fmt: skip

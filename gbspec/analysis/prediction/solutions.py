@@ -38,10 +38,7 @@ ORIGINS: dict[Origin, str] = {
     "failed": "no initial state was found from which it can be solved",
 }
 """What is said of trajectories by the origin of their starts."""
-ALIKE = (
-    "the rows, or the first rows, of one of the training data that has another label: predicted from what was learned "
-    "there"
-)
+ALIKE = "the same rows as one of the training data that has another label: predicted from what was learned there"
 """The same of those whose starts were learned of a trajectory with another label."""
 
 RTOL = 1e-8
@@ -133,16 +130,19 @@ def continued_positions(
 ) -> list[tuple[int, int] | None]:
     """For each trajectory that begins with the rows of one of the training data and goes on, the index of that one and
     the number of rows up to its end; None for others. Rows without a measurement after the last one that has some go
-    on too: they are as little of the training as rows that were measured later."""
-    learned = learned_positions(member, trajectories, data)
+    on too: they are as little of the training as rows that were measured later. A single row is no beginning of one
+    with another label."""
+    learned, labels = learned_positions(member, trajectories, data), labels_of(member)
     longer = continued(member.info.get("beginnings"), trajectories.items)
     found: list[tuple[int, int] | None] = []
     for position, begun, item in zip(learned, longer, trajectories.items, strict=True):
         if position is None:
             found.append(begun)
         else:
-            end = int(measured_rows(item).max(initial=-1)) + 1
-            found.append((position, end) if 0 < end < len(item.times) else None)
+            measured = measured_rows(item)
+            end, named = int(measured.max(initial=-1)) + 1, not labels or labels[position] == item.label
+            begins = len(measured) > 1 or (len(measured) == 1 and named)
+            found.append((position, end) if begins and end < len(item.times) else None)
     return found
 
 
