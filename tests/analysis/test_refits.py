@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.prediction import estimate
-from gbspec.analysis.prediction.displaced import Displaced
+from gbspec.analysis.prediction.displaced import Displaced, variance_of
 from gbspec.analysis.prediction.estimate import Estimator, predictions
 from gbspec.analysis.prediction.forecast import forecast
 from gbspec.analysis.prediction.solutions import Start, predict
@@ -250,12 +250,13 @@ def test_the_uncertainty_of_the_model_is_that_of_its_linearisation() -> None:
         return predict(one, model, item, at).channels
 
     exact = 0.04 * TIMES * 2.0 * np.exp(-0.5 * TIMES)
-    found = np.sqrt(Displaced(evaluator.instance, known).variance(start, solve(evaluator, start), solve))[:, 0]
+    here = solve(evaluator, start)
+    found = np.sqrt(variance_of(here, Displaced(evaluator.instance, known).slopes(start, here, solve)))[:, 0]
     later = TIMES > 0
     ratio = found[later] / exact[later]
     assert np.ptp(ratio) < 0.05 and 0.6 < ratio.mean() < 1.4, "one number per draw, of 16"
     fixed = Displaced(evaluator.instance, known, frozenset({"k"}))
-    np.testing.assert_allclose(fixed.variance(start, solve(evaluator, start), solve), 0.0, atol=1e-12)
+    np.testing.assert_allclose(variance_of(here, fixed.slopes(start, here, solve)), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 20])

@@ -115,7 +115,8 @@ def test_a_displaced_solution_that_does_not_exist_is_sought_nearer() -> None:
 
     displaced._displaced = lambda weights, constants: (None, constants)  # type: ignore[method-assign,assignment,return-value]
     start = Start(np.zeros(0), np.zeros(4), "known")
-    assert displaced.variance(start, np.zeros((1, 1)), solve) == pytest.approx(12.0, rel=1e-6)
+    none = np.zeros((1, 1))
+    assert variance_of(none, displaced.slopes(start, none, solve)) == pytest.approx(12.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("edge", [0.0, 5e-5, 0.004])
@@ -131,7 +132,8 @@ def test_a_jump_beside_the_estimate_is_no_derivative(edge: float) -> None:
         return np.array([[3.0 * a + (7.0 if a > edge else 0.0), 2.0 * a]])
 
     start = Start(np.zeros(0), np.zeros(1), "known")
-    found = displaced.variance(start, solve(None, start), solve)
+    here = solve(None, start)
+    found = variance_of(here, displaced.slopes(start, here, solve))
     assert found == pytest.approx(np.array([[9.0, 4.0]]) * 0.25, rel=1e-6)
 
 
@@ -265,7 +267,8 @@ observe x
     assert width[3] > 5 * width[1], "it widens where there are no data"
     start = Start(np.zeros(1), np.zeros(0), "known")
     displaced = Displaced(run.member(), run.certainties().covariance)
-    variance = displaced.variance(start, value[:, None], lambda one, _: one.functions_many("f", points)[:, None])
+    slopes = displaced.slopes(start, value[:, None], lambda one, _: one.functions_many("f", points)[:, None])
+    variance = variance_of(value[:, None], slopes)
     ratio = 1.645 * np.sqrt(variance[1:3, 0]) / (high - value)[1:3]
     assert np.all((ratio > 0.5) & (ratio < 1.6)), "draws stay in the linear range"
     fence = fences(run)["f"]

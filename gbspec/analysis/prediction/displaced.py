@@ -115,10 +115,6 @@ class Displaced:
                 found.append((constants, change))
         return found
 
-    def variance(self, start: Start, variables: Array, solve: Solve, refitted: Refit = unchanged) -> Array:
-        """The variance of `variables` [R, V]."""
-        return variance_of(variables, self.slopes(start, variables, solve, refitted))
-
     def passed(
         self,
         start: Start,
@@ -137,6 +133,7 @@ class Displaced:
             place, (weights, constants) = self.covariance.constants.index(name), self.covariance.towards(name)
             if (deviation := float(constants[place])) <= 0:
                 continue
+            # By the constant, with what goes along: the covariance with it, over its variance.
             slope = np.mean([draw[place] * change for draw, change in slopes], axis=0) / deviation**2
             for end in self.moving[name]:
                 far = end - float(start.constants[self.member.constants.index(name)])
