@@ -103,12 +103,13 @@ def log_evidence(engine: Engine, theta: Array) -> float | None:
     return 0.5 * (shrinking - misfit / variance - (reduced.count - others) * float(np.log(variance)))
 
 
-def lack_of_fit(engine: Engine, theta: Array, extra: Integers) -> tuple[float, float, float] | None:
+def lack_of_fit(engine: Engine, theta: Array, extra: Integers, free: Integers) -> tuple[float, float, float] | None:
     """The score test of the weights `extra`, which are 0 at `theta`: the fraction of the sum of squares that the best
     of them would remove, and the degrees of freedom of the numerator and denominator of its F; None if not known.
 
-    All other parameters move along, under their priors and the ridge of the evidence: with y normal around A w, and w
-    normal under its prior, the scores of the extra weights have the covariance of the Schur complement (Rao 1948).
+    All other parameters move along: the weights `free` and constants without a prior of theirs, all other weights
+    with the ridge of the evidence. A ridge of what is tested would leave a bias in the residuals that the extra weights
+    find. Without one the test is that of two nested linear models (Rao 1948), one Gauss-Newton step from `theta`.
     """
     n, total = engine.parameters.n_weights, engine.parameters.n_shared
     try:
@@ -121,23 +122,25 @@ def lack_of_fit(engine: Engine, theta: Array, extra: Integers) -> tuple[float, f
         block = matrix[np.ix_(rest, rest)] + reduced.weak * np.eye(len(rest))
         wide = matrix[np.ix_(weights, rest)]
         values = np.linalg.eigvalsh(matrix[np.ix_(weights, weights)] - wide @ np.linalg.solve(block, wide.T))
-        others = reduced.used + len(rest)
-        ridge, _ = _evidence(reduced, np.maximum(values, 0.0), theta[weights], others)
-        matrix[weights, weights] += ridge
-        matrix[rest, rest] += reduced.weak
-        gradient[weights] += ridge * theta[weights]
-        across = np.linalg.solve(matrix[np.ix_(kept, kept)], matrix[np.ix_(kept, extra)])
+        ridge, _ = _evidence(reduced, np.maximum(values, 0.0), theta[weights], reduced.used + len(rest))
+        held = np.setdiff1d(weights, free)
+        precision = np.full(total, reduced.weak)
+        precision[held] = ridge
+        gradient[held] += ridge * theta[held]
+        known = matrix[np.ix_(kept, kept)] + np.diag(precision[kept])
+        across = np.linalg.solve(known, np.column_stack([matrix[np.ix_(kept, extra)], gradient[kept]]))
+        across, step = across[:, :-1], across[:, -1]
         unit = 1 / np.sqrt(np.maximum(np.diag(matrix)[extra], 1e-300))
         left = matrix[np.ix_(extra, extra)] - matrix[np.ix_(extra, kept)] @ across
         score = unit * (gradient[extra] - across.T @ gradient[kept])
         sizes, vectors = np.linalg.eigh(unit[:, None] * left * unit)
+        effective = len(kept) - float(np.sum(precision[kept] * np.diag(np.linalg.inv(known))))
     except np.linalg.LinAlgError:
         return None
     told = sizes > UNTOLD
-    gain = float(np.sum((vectors[:, told].T @ score) ** 2 / sizes[told]))
-    effective = float(np.sum(np.maximum(values, 0.0) / (np.maximum(values, 0.0) + ridge)))
-    count = float(told.sum())
-    return gain / max(reduced.squares, 1e-300), count, reduced.count - others - effective - count
+    gain, count = float(np.sum((vectors[:, told].T @ score) ** 2 / sizes[told])), float(told.sum())
+    squares = max(reduced.squares - float(step @ gradient[kept]), 1e-300)
+    return gain / squares, count, reduced.count - reduced.used - effective - count
 
 
 def _reduced_at(engine: Engine, theta: Array) -> _Reduced | None:

@@ -57,7 +57,9 @@ def _tested(
     layout = replace(parameters, model=model, fixed=fixed)
     wide = np.concatenate([layout.vector(weights)[: layout.n_weights], theta[parameters.n_weights :]])
     engine = finer.engine(layout, blend, step_fraction(stages))
-    score = lack_of_fit(engine, wide, _places(layout, model.networks[index], extra))
+    splines = [_places(layout, one) for one in model.networks if one.spline]
+    tested = _places(layout, model.networks[index])[extra]
+    score = lack_of_fit(engine, wide, tested, np.setdiff1d(np.concatenate(splines), tested))
     if score is None or not min(score[1:]) >= 1:
         return None
     gain, numerator, denominator = score
@@ -86,12 +88,12 @@ def _weights(parameters: Parameters, theta: Array, model: Model, index: int) -> 
     return weights, extra
 
 
-def _places(parameters: Parameters, network: Network, biases: Integers) -> Integers:
-    """Where the trainable vector has some biases of a spline."""
-    position = 0
-    for name, shape in parameters.weight_shapes.items():
-        if name == f"network.{network.name}.0.bias":
-            return position + biases
+def _places(parameters: Parameters, network: Network) -> Integers:
+    """Where the trainable vector has the biases of a spline."""
+    position, name = 0, f"network.{network.name}.0.bias"
+    for array, shape in parameters.weight_shapes.items():
+        if array == name:
+            return position + np.arange(prod(shape))
         position += prod(shape)
     raise KeyError(network.name)
 
