@@ -1,4 +1,4 @@
-"""Minimisation of a penalised sum of squares from one factored Gauss-Newton Hessian; an entry may be held fixed.
+"""Minimisation of a penalised sum of squares from one factored Gauss-Newton Hessian; entries may be held fixed.
 
 The limited-memory BFGS iteration (Nocedal and Wright 2006, algorithm 7.4) whose initial matrix is the inverse of the
 normal matrix at the anchor. An iteration costs one gradient and no Jacobian; its pairs represent the curvature of the
@@ -7,6 +7,7 @@ residuals, which the anchor lacks. It has converged when the decrease predicted 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,22 +96,23 @@ class Penalised:
 
 
 class Anchor:
-    """The factored normal matrix at one vector, damped by `damping`; steps do not change the entry `held`."""
+    """The factored normal matrix at one vector, damped by `damping`; steps do not change the entries `held`."""
 
-    def __init__(self, equations: NormalEquations, damping: float, held: int | None) -> None:
-        self.equations, self.damping, self.held = equations, damping, held
-        if held is not None:
-            unit = np.zeros(equations.parameters.size)
-            unit[held] = 1.0
-            column = equations.invert(unit, damping)
-            self.variance = float(column[held])
-            self.path: Array = column / column[held]
-            """The derivative of all other entries with respect to the held one, to first order."""
+    def __init__(self, equations: NormalEquations, damping: float, held: Sequence[int] = ()) -> None:
+        self.equations, self.damping, self.held = equations, damping, list(held)
+        if self.held:
+            units = np.eye(equations.parameters.size)[self.held]
+            columns = np.stack([equations.invert(unit, damping) for unit in units], 1)
+            self.variance = float(columns[self.held[0], 0])
+            self.path: Array = columns[:, 0] / self.variance
+            """The derivative of all other entries with respect to the first held one, to first order, with all but it
+            free."""
+            self._paths: Array = columns @ np.linalg.inv(columns[self.held])
 
     def solve(self, vector: Array) -> Array:
-        """The inverse of the normal matrix, constrained by the held entry, times a vector."""
+        """The inverse of the normal matrix, constrained by the held entries, times a vector."""
         found = self.equations.invert(vector, self.damping)
-        return found if self.held is None else found - found[self.held] * self.path
+        return found - self._paths @ found[self.held] if self.held else found
 
 
 def minimise(target: Penalised, anchor: Anchor, theta: Array, enough: float, most: int) -> Rest:

@@ -185,12 +185,12 @@ class _Profiler:
                 return known.rest
         for ridge in ridges:
             self.target = replace(self.target, ridge=ridge)
-            anchor = Anchor(self.target.equations(theta), WEAK * self.variance, None)
+            anchor = Anchor(self.target.equations(theta), WEAK * self.variance)
             rest = minimise(self.target, anchor, theta, enough, AGAIN)
             if rest.promised <= enough:
                 self.kept.add(None, ridge, Refit(rest))
                 return rest
-        return self._follower().followed(self.target, theta, None, None)
+        return self._follower().followed(self.target, theta, None, ())
 
     def _follower(self) -> Follower:
         return Follower(self.variance, self.iterations, bool(self.parameters.n_weights))
@@ -199,7 +199,7 @@ class _Profiler:
         """Notes the effect of a tighter prior on the interval, according to the linearised fits."""
         before = self.deviation
         weaker = replace(first, engine=self.target.engine)
-        wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, self.column).variance * self.variance)
+        wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, (self.column,)).variance * self.variance)
         self.narrowed = 1 - before / wide
         self.notes.append(narrowing(self.target.ridge / first.ridge, self.narrowed))
 
@@ -215,7 +215,7 @@ class _Profiler:
         )
 
     def _anchor(self, theta: Array) -> Anchor:
-        return Anchor(self.target.equations(theta), WEAK * self.variance, self.column)
+        return Anchor(self.target.equations(theta), WEAK * self.variance, (self.column,))
 
     def held(self, entry: float, neighbour: Fitted) -> Fitted:
         """The fit with the constant's entry of the vector at `entry`, from a neighbour moved along the linear path."""

@@ -9,7 +9,7 @@ parameters free too, from which their deviance is counted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import residual_vector
-from gbspec.training.optimise import Anchor, Penalised, Rest, minimise
+from gbspec.training.optimise import Anchor, Penalised, Rest, beyond_jumps, minimise, passing
 
 ACCURACY, KNOWN_ACCURACY = 0.01, 0.002
 """A fit has converged if its deviance is not predicted to decrease by more than this; the second one without networks,
@@ -74,22 +74,24 @@ class Follower:
         """Whether a fit has converged."""
         return rest.promised <= self.enough
 
-    def followed(self, target: Penalised, theta: Array, anchor: Anchor | None, held: int | None) -> Rest:
+    def followed(self, target: Penalised, theta: Array, anchor: Anchor | None, held: Sequence[int]) -> Rest:
         """Iterates with a new Jacobian whenever the last one is too far away.
 
         The curvature of another place does not see that a constant has lost its effect, so that it may promise nothing
-        far from a minimum: without networks, whose Jacobians take longer, the one at the end has to agree.
+        far from a minimum: without networks, whose Jacobians take longer, the one at the end has to agree. Where no
+        step along its own curvature is lower, as where solutions jump, no further one is.
         """
         left, given = self.iterations, anchor is not None and not self.networks
         rest = Rest(theta, target.value(theta) if anchor is None else 0.0, float("inf"), 0)
         while np.isfinite(rest.objective):
+            own = anchor is None
             try:
                 anchor = anchor or Anchor(target.equations(rest.theta), WEAK * self.variance, held)
             except np.linalg.LinAlgError:  # the solution or its derivatives are not finite
                 return replace(rest, promised=float("inf"))
             rest = minimise(target, anchor, rest.theta, self.enough, max(min(AGAIN, left), 1))
             left -= max(rest.steps, 1)
-            if left <= 0 or (self.at_rest(rest) and not given):
+            if left <= 0 or (self.at_rest(rest) and not given) or (own and not rest.steps):
                 break
             anchor, given = None, False
         return rest
@@ -120,14 +122,27 @@ class Refits:
             fraction = finer
 
     def _lower(self, target: Penalised, start: Array, entry: float) -> Rest:
+        """The lowest of the fits from a start and from where rows are on other sides of events. With networks, whose
+        fits take longer, the second ones are made where the first has not converged."""
+        first = self._followed(target, start, entry)
+        if self.follower.networks and self.follower.at_rest(first):
+            return first
+
+        def fit(theta: Array, held: tuple[int, ...]) -> Rest:
+            return self.follower.followed(target, theta, None, held)
+
+        passes = passing(target.parameters.model, target.parameters)
+        return beyond_jumps(fit, target.value, first, self.column, passes, self.follower.enough)
+
+    def _followed(self, target: Penalised, start: Array, entry: float) -> Rest:
         """The lower one of two fits, from a start and, if it cannot be fitted or a constant has lost its effect, from
         the values of the estimate."""
-        first = self.follower.followed(target, start, self.anchor, self.column)
+        first = self.follower.followed(target, start, self.anchor, (self.column,))
         if np.isfinite(first.objective) and not self._without_effect(target, first.theta, self._felt):
             return first
         again = self._elsewhere.copy()
         again[self.column] = entry
-        second = self.follower.followed(target, again, None, self.column)
+        second = self.follower.followed(target, again, None, (self.column,))
         if not np.isfinite(first.objective):
             return second if np.isfinite(second.objective) else first
         margin = self.follower.enough if self.follower.at_rest(second) else 0.0
@@ -183,7 +198,7 @@ class Refits:
         if fraction not in self._offsets:
             level, offset = self._level(fraction), 0.0
             if np.isfinite(level.base):
-                offset = self.lowest - self.follower.followed(level.target, self.found, None, None).objective
+                offset = self.lowest - self.follower.followed(level.target, self.found, None, ()).objective
             self._offsets[fraction] = offset
         return self._offsets[fraction]
 

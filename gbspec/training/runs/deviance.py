@@ -12,12 +12,12 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Learnable
 from gbspec.training.engines import TorchEngine, residual_vector, taken
-from gbspec.training.optimise import Penalised
+from gbspec.training.optimise import Penalised, Rest, beyond_jumps, passing
 from gbspec.training.problem import Bijections, Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import covers, half_width
 from gbspec.training.runs.summary import MemberResult, whole_solutions
-from gbspec.training.runs.tied import LARGEST, penalised, refitted
+from gbspec.training.runs.tied import ACCURACY, LARGEST, penalised, refitted
 from gbspec.training.runs.verdict import widening
 
 WAYS = (0.05, 0.12, 0.25, 0.5, 0.75, 0.95)
@@ -104,14 +104,20 @@ class Deviance:
 
     def held(self, learnable: Learnable, column: int, estimate: float) -> Held | None:
         """The constant at an entry of the vector, if the data hold it."""
+        passes, enough = passing(self.target.parameters.model, self.target.parameters), 0.5 * ACCURACY * self.variance
 
         def rise(value: float) -> float:
             moved = self.theta.copy()
             moved[column] = Bijections.of((learnable,)).from_natural(np.array([value]))[0]
-            try:
-                rest = refitted(self.target, moved, column, self.variance)
-            except (ComputationError, np.linalg.LinAlgError):
-                return -math.inf
-            return 2 * (rest.objective - rest.promised - self.least) / self.variance
+            rest = self._fit(moved, (column,))
+            rest = beyond_jumps(self._fit, self.target.value, rest, column, passes, enough)
+            known = math.isfinite(rest.objective)
+            return 2 * (rest.objective - rest.promised - self.least) / self.variance if known else -math.inf
 
         return held_by_data(learnable, estimate, rise, self.threshold)
+
+    def _fit(self, theta: Array, held: tuple[int, ...]) -> Rest:
+        try:
+            return refitted(self.target, theta, held, self.variance)
+        except (ComputationError, np.linalg.LinAlgError):
+            return Rest(theta, math.inf, math.inf, 0)

@@ -157,7 +157,7 @@ def _inwards(
             np.array([Bijection.of(learnable).inside(bound, share)])
         )[0]
         try:
-            rest = refitted(target, moved, column, variance)
+            rest = refitted(target, moved, (column,), variance)
         except (ComputationError, np.linalg.LinAlgError):
             break
         now = rest.theta
@@ -167,11 +167,11 @@ def _inwards(
     return found
 
 
-def refitted(target: Penalised, theta: Array, column: int, variance: float) -> Rest:
-    """The fit with one entry held."""
+def refitted(target: Penalised, theta: Array, held: Sequence[int], variance: float) -> Rest:
+    """The fit with entries held."""
     enough = 0.5 * ACCURACY * variance
     for _ in range(JACOBIANS):
-        rest = minimise(target, Anchor(target.equations(theta), WEAK * variance, column), theta, enough, STEPS)
+        rest = minimise(target, Anchor(target.equations(theta), WEAK * variance, held), theta, enough, STEPS)
         theta = rest.theta
         if rest.promised <= enough:
             break
