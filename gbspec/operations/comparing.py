@@ -202,6 +202,10 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
         help_text = "the warnings of the run say more; maxima are compared"
     elif None not in (found.least, found.aic, found.bic):
         return
+    elif found.unbounded:
+        noises = " and ".join(f"`{name}`" for name in found.unbounded)
+        said = f"has a likelihood without a maximum: it grows without limit as the noise of {noises} goes to zero"
+        help_text = "leave `initial … learn` of measured states out, or state the noise (`noise normal(…)`)"
     elif found.minus2ll is None:
         said, help_text = "has a likelihood that is not a finite number", "the warnings of the run say more"
     elif found.aic is None:  # what a range of a state says of a start that is learned
