@@ -211,8 +211,8 @@ class Network:
 
     @property
     def parameters(self) -> int:
-        """Number of weights and biases."""
-        return sum((a + 1) * b for a, b in pairwise(self.sizes))
+        """Number of weights and biases that its outputs depend on: of a spline, its coefficients."""
+        return self.sizes[-1] if self.spline else sum((a + 1) * b for a, b in pairwise(self.sizes))
 
 
 @dataclass(frozen=True)

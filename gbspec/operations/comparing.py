@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from gbspec.runs import LikelihoodRecord, Run
 
 
+LOWER = 0.1
+"""-2 log likelihood of a larger model that is above a smaller one's by more is not at its least; stages end where a
+step promises less."""
+
+
 @dataclass(frozen=True)
 class Compared:
     """One run: its likelihood and the number of its estimated parameters."""
@@ -68,14 +73,26 @@ class Comparison:
         ]  # fmt: skip
         parts = [table(["run", "-2 log L", "parameters", "AIC", "BIC", "AIC above the least"], rows)]
         for one in self.tests:
+            if one.fall < -LOWER:
+                parts.append(
+                    f"{one.larger} against {one.smaller}: -2 log L is higher by {-one.fall:.3f} with {_further(one)}, "
+                    "which it cannot be at the highest maximum, as the larger model contains the smaller one: its fit "
+                    "is at a lower one (try `--effort high`, other starting values, `--members 5`), or the likelihoods "
+                    "are not exact enough"
+                )
+                continue
             edge = " (the smaller model is at the edge of what is possible: p is too large)" if one.boundary else ""
             parts.append(
-                f"{one.larger} against {one.smaller}: -2 log L falls by {one.fall:.3f} for {one.freedom} further "
-                f"parameter{'s' if one.freedom > 1 else ''}, p = {one.p:.3g}{edge}"
+                f"{one.larger} against {one.smaller}: -2 log L falls by {one.fall:.3f} for {_further(one)}, "
+                f"p = {one.p:.3g}{edge}"
             )
         for name, lines in self.differences.items():
             parts.append("\n".join([f"only in {name}", *(f"  {line}" for line in lines)]))
         return "\n\n".join(parts)
+
+
+def _further(one: Ratio) -> str:
+    return f"{one.freedom} further parameter{'s' if one.freedom > 1 else ''}"
 
 
 @packages()
@@ -84,7 +101,8 @@ def compare(runs: Sequence[Run]) -> Comparison:
 
     Likelihoods are marginal ones, or those of innovations (models with `diffusion`), each at its maximum.
 
-    Raises UserError (GB775) if the data or the columns of which the models speak differ, a run was not fitted by a
+    Raises UserError (GB775) if the data, the trajectories that were fitted or the columns of which the models speak
+    differ, a run was not fitted by a
     likelihood, its likelihood is not at its maximum, or likelihoods are not of the same values.
     """
     found: list[tuple[Run, Compared]] = []
@@ -96,6 +114,7 @@ def compare(runs: Sequence[Run]) -> Comparison:
             said = "do not observe the same columns of the table"
             raise _refused(run, runs[0], said, "likelihoods are compared of the same measured values")
         _check_ways(run, runs[0])
+        _check_trajectories(run, runs[0])
         if _counts(run) != _counts(runs[0]):
             help_text = (
                 "zeros of a state that one model keeps at 0 do not count in its fit; empty these cells to compare both"
@@ -152,6 +171,24 @@ def _measured(run: Run) -> frozenset[str]:
     return frozenset(channel.column for channel in run.model.channels)
 
 
+def _check_trajectories(run: Run, other: Run) -> None:
+    """Raises UserError (GB775) where not all members of both runs were fitted to the same trajectories."""
+    its, others = _fitted(run), _fitted(other)
+    if len(its) > 1:
+        message = f"the members of `{run.path}` were fitted to different trajectories"
+        help_text = "fit it again: it is of an older version of gbspec, whose members held out others each"
+        raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+    if len(its | others) > 1:
+        help_text = "fit both without `--holdout`, or with the same `--holdout` and `--seed`"
+        raise _refused(run, other, "were not fitted to the same trajectories of the table", help_text)
+
+
+def _fitted(run: Run) -> set[frozenset[str]]:
+    """The labels of the trajectories that members of a run were fitted to; those of older versions may differ."""
+    labels = (member.info.get("labels") for member in run.members)
+    return {frozenset(map(str, of)) for of in labels if isinstance(of, list)}
+
+
 def _counts(run: Run) -> dict[str, int | None]:
     """The number of values of each column that a run was fitted to."""
     channels = next((one.channels for one in run.fit.members if one.channels), None) or {}
@@ -202,6 +239,10 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
         help_text = "the warnings of the run say more; maxima are compared"
     elif None not in (found.least, found.aic, found.bic):
         return
+    elif found.unbounded:
+        noises = " and ".join(f"`{name}`" for name in found.unbounded)
+        said = f"has a likelihood without a maximum: it grows without limit as the noise of {noises} goes to zero"
+        help_text = "leave `initial … learn` of measured states out, or state the noise (`noise normal(…)`)"
     elif found.minus2ll is None:
         said, help_text = "has a likelihood that is not a finite number", "the warnings of the run say more"
     elif found.aic is None:  # what a range of a state says of a start that is learned

@@ -123,7 +123,8 @@ class LikelihoodRecord:
     the estimates, of which sizes of disturbances and noises maximise the restricted likelihood, and `least` at the
     maximum of the likelihood itself, to which `aic` and `bic` belong. With priors, which weights of unknown functions
     have too, these three are None; in runs of older versions `least` is, and `aic` and `bic` are at the estimates.
-    `maximum` is False where the fit did not come to one."""
+    `maximum` is False where the fit did not come to one. Where the likelihood grows without limit as the noise of the
+    channels `unbounded` goes to zero, it has no maximum, and these three are None too."""
 
     objective: str
     minus2ll: float | None
@@ -135,6 +136,7 @@ class LikelihoodRecord:
     whiteness: Mapping[str, WhitenessRecord] = field(default_factory=dict)
     least: float | None = field(default=None, metadata=OMITTED)
     maximum: bool | None = field(default=None, metadata=OMITTED)
+    unbounded: tuple[str, ...] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
     def without_maximum(self) -> LikelihoodRecord:

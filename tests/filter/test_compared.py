@@ -78,6 +78,12 @@ def test_fits_with_priors_are_at_no_maximum(fit: Fit, text: str, said: str) -> N
     assert said in refused.value.diagnostics[0].message and "maximum" in refused.value.diagnostics[0].message
 
 
+def test_a_spline_has_as_many_parameters_as_coefficients(fit: Fit) -> None:
+    run = fit(FUNCTION.replace("mlp(2)", "spline(5)"))
+    assert likelihood(run).parameters == 5 + len(run.model.learnables) + 1  # and the noise
+    assert run.model.networks[0].parameters == 5
+
+
 def test_nested_models_are_tested(fit: Fit) -> None:
     small, large, stated = fit(FIXED), fit(DRIFT), fit(STATED)
     found = comparing.compare([small, large, stated])
@@ -102,7 +108,7 @@ def test_a_disturbance_less_is_at_the_edge(fit: Fit) -> None:
 @pytest.mark.parametrize(
     ("text", "rows", "said"),
     [
-        (DRIFT + "initial X learn\n", 40, "different starts of the state that `X` measures"),
+        (STATED + "initial X learn\n", 40, "different starts of the state that `X` measures"),
         (DRIFT.replace("= 0\n", "= 1\n", 1) + "initial X = 1\n", 40, "different starts of the state that `X` measures"),
         (DRIFT, 39, "fitted to different data"),
         (DRIFT.replace("diffusion X = s\n", "").replace("X\n", "X noise normal(s)\n"), 40, "different kinds"),

@@ -15,9 +15,8 @@ model drift
 time t : h from 0
 state x in [0, 10]
 learn k : 1/h = 0.1 in [0.001, 1]
-learn x0 = 1 in [0.1, 5]
 learn s = 0.1 > 0
-initial x = x0
+initial x = 1.001
 x' = k*x
 diffusion x = s
 observe x

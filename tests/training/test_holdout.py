@@ -9,6 +9,8 @@ import pytest
 import torch
 
 import gbspec
+from gbspec.diagnostics import UserError
+from gbspec.operations.comparing import Compared, Comparison, Ratio, compare
 from gbspec.training.recipe.context import split
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -79,3 +81,31 @@ def test_held_out_data_stop_no_likelihood_before_it_is_maximised(
     run = model.train(tmp_path / "d.csv", tmp_path / "run", holdout=0.25)
     for name, value in truth.items():
         assert run.constants[name] == pytest.approx(value, rel=0.4)
+
+
+def table(path: Path) -> Path:
+    random, times = np.random.default_rng(1), np.linspace(0.0, 3, 9)
+    rows = [(i, t, np.exp(-0.7 * t) + 0.05 * random.standard_normal()) for i in range(8) for t in times]
+    path.write_text("trajectory,t,N\n" + "".join(f"{i},{t},{x:.4f}\n" for i, t, x in rows))
+    return path
+
+
+def test_likelihoods_of_different_trajectories_are_not_compared(tmp_path: Path) -> None:
+    """Those of one run's members, of which the best is taken, are of the same; other seeds hold out others."""
+    (tmp_path / "m.gb").write_text(KNOWN.replace("N' =", "learn k in [0.01, 10] = 0.2\nN' ="))
+    model, data = gbspec.load(tmp_path / "m.gb"), table(tmp_path / "d.csv")
+    several = model.train(data, tmp_path / "several", holdout=0.25, members=2)
+    first, second = (several.run.member(number).info["labels"] for number in (0, 1))
+    assert isinstance(first, list) and len(first) == 6 and first == second
+    other = model.train(data, tmp_path / "other", holdout=0.25, seed=1)
+    assert other.run.member(0).info["labels"] != first
+    with pytest.raises(UserError) as refused:
+        compare([several.run, other.run])
+    assert refused.value.diagnostics[0].code == "GB775"
+    assert "were not fitted to the same trajectories" in refused.value.diagnostics[0].message
+
+
+def test_a_larger_model_that_fits_worse_is_remarked_on() -> None:
+    runs = tuple(Compared(name, "m", value, n, value + 2 * n, value) for name, value, n in [("a", 4, 1), ("b", 5, 2)])
+    found = str(Comparison(runs, (Ratio("a", "b", -1.0, 1, 1.0, False),), {}))
+    assert "b against a: -2 log L is higher by 1.000 with 1 further parameter" in found and "p =" not in found

@@ -18,6 +18,7 @@ from .levenberg_marquardt import evidence as evidence
 from .levenberg_marquardt import moved as moved
 from .levenberg_marquardt import noise_variance as noise_variance
 from .maximum import Likeliest as Likeliest
+from .maximum import Maximum as Maximum
 from .maximum import at_maximum as at_maximum
 from .maximum import likeliest as likeliest
 from .maximum import restricted_value as restricted_value

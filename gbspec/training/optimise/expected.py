@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.training.engines import Filtered, FilterEngine
+from gbspec.training.engines import Filtered, FilterEngine, filter
 from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.held import tied_at_bounds
 from gbspec.training.optimise.restricted import FLAT, inverse
@@ -23,6 +23,7 @@ def certainty_of(engine: FilterEngine, vector: Array, found: Filtered, matrix: A
     parameters = engine.parameters
     if not found.finite:
         return Certainty.unknown(parameters)
+    matrix = filter.without_followed(engine, vector, found, matrix)
     covariance = inverse(matrix, engine.layout.free, ROUNDING)
     ended = engine.ended(vector, _roots(covariance))
     gone = np.flatnonzero(ended[parameters.size :]) + parameters.size

@@ -22,6 +22,9 @@ FIRST, STRONGER, DAMPINGS = 1e-3, 8.0, 8
 """The first damping of steps, the factor of stronger ones, and how many are tried."""
 ENOUGH = 1e-4
 """Steps end where the next promises less of the log likelihood."""
+GROWS = 0.5
+"""The likelihood grows without end as a noise goes to zero where its slope there is that of more than half a value that
+the model has exactly."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +92,42 @@ def _with_priors(engine: FilterEngine, priors: Priors, now: Likeliest) -> tuple[
     return gradient, matrix
 
 
-def at_maximum(engine: FilterEngine, vector: Array, found: Filtered) -> float | None:
-    """The negative log likelihood at its maximum near a fit; None with priors, which weights of networks have too: the
+@dataclass(frozen=True)
+class Maximum:
+    """The negative log likelihood at its maximum near a fit; None where that is not known, or where there is none: it
+    falls without end as the noise of the channels `unbounded` goes to zero."""
+
+    value: float | None
+    unbounded: tuple[int, ...] = ()
+
+
+def at_maximum(engine: FilterEngine, vector: Array, found: Filtered) -> Maximum:
+    """The maximum of the likelihood near a fit; it is not known with priors, which weights of networks have too: the
     fit is not where the likelihood alone has its maximum."""
     parameters = engine.parameters
     if parameters.n_weights or len(_priors(engine)):
-        return None
-    return likeliest(engine, vector, found).value
+        return Maximum(None)
+    near = likeliest(engine, vector, found)
+    rising = np.flatnonzero(_by_noise(engine, near) > GROWS)
+    unbounded = [int(engine.noise.learned[place]) for place in rising if _grows(engine, near, int(place))]
+    return Maximum(None if unbounded else near.value, tuple(unbounded))
 
 
-__all__ = ["Likeliest", "at_maximum", "likeliest", "restricted_value"]
+def _by_noise(engine: FilterEngine, point: Likeliest) -> Array:
+    """The derivatives of the negative log likelihood in the logarithms of learned noises. At a maximum they are zero;
+    the variance of a value that the model has exactly is that of its noise, which adds 1."""
+    if not point.found.finite:
+        return np.zeros(engine.layout.noises)
+    return engine.information(point.vector, point.found).gradient[engine.parameters.size :]
+
+
+def _grows(engine: FilterEngine, near: Likeliest, place: int) -> bool:
+    """Whether the likelihood is higher with a learned noise at its least value, all else refitted, and still grows as
+    the noise falls."""
+    vector, entry = near.vector.copy(), engine.parameters.size + place
+    vector[entry] = engine.noise.least()[place]
+    point = likeliest(engine, vector, held=entry)
+    return point.value <= near.value + ENOUGH and bool(_by_noise(engine, point)[place] > GROWS)
+
+
+__all__ = ["Likeliest", "Maximum", "at_maximum", "likeliest", "restricted_value"]

@@ -59,8 +59,8 @@ class Parameters:
 
     @cached_property
     def n_weights(self) -> int:
-        """Number of network weights."""
-        return sum(network.parameters for network in self.model.networks)
+        """Number of network weights, with those of splines, whose coefficients are biases: nothing depends on these."""
+        return sum(math.prod(shape) for shape in self.weight_shapes.values())
 
     @cached_property
     def shared(self) -> tuple[int, ...]:

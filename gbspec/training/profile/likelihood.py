@@ -100,7 +100,10 @@ class _Profiler:
         options = agreed(run.fit.backend, run.model, run.module, options)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
-        self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)
+        seed, labels = options.seed + member, info.get("labels")
+        self.free = build_context(run.model, run.module, trajectories, options, seed)
+        if labels is not None and labels != list(self.free.packed().labels):  # an older version split by the seed
+            self.free = build_context(run.model, run.module, trajectories, replace(options, seed=seed), seed)
         record = next((one for one in run.fit.members if one.member == member), None)
         self.free.estimated = None if record is None else record.estimated(run.model)
         self.widening = 1.0 if record is None else widening(record.channels or {})

@@ -197,8 +197,9 @@ def build_context(
     seed: int,
     kind: CurveKind = "interpolating",
 ) -> Context:
-    """The context: splits off the held-out data and prepares the rest; `kind`: that of the curves."""
-    kept, held = split(trajectories, options.holdout, seed)
+    """The context: splits off the held-out data, which are the same for all members, since their likelihoods are
+    compared, and prepares the rest; `seed` is the member's, and `kind` that of the curves."""
+    kept, held = split(trajectories, options.holdout, options.seed)
     method = METHODS[module.solver]
     max_step = exact_step(model, trajectories, options.max_step)
     if max_step is None:

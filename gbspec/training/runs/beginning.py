@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from gbspec.arrays import Array
@@ -30,7 +31,8 @@ def beginning(
     """The context, the layout and the position of a member; `kept` is its checkpoint, None if it begins."""
     if kept is not None:
         arrays, remarks = kept
-        context = build_context(model, module, trajectories, options, seed, remarks.curves)
+        splitting = options if remarks.common else replace(options, seed=seed)
+        context = build_context(model, module, trajectories, splitting, seed, remarks.curves)
         fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
         position, parameters = restored(arrays, remarks), context.parameters(fixed)
         first = position.marks.get(StageName.WARM_START, position.theta)

@@ -180,11 +180,11 @@ def _naive(engine: FilterEngine, last: Array, counted: Mask, channel: int) -> tu
 
 def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:
     """The likelihood, its criteria, the learned noises with intervals, and tests of the innovations."""
-    count, values = int(engine.layout.free.sum()), int(engine.problem.valued.sum())
+    count, values = _fitted(engine), int(engine.problem.valued.sum())
     minus2, maximum = finite(2 * found.value), at_maximum(engine, vector, found)
-    least = None if maximum is None else finite(2 * maximum)
+    least = None if maximum.value is None else finite(2 * maximum.value)
     model, noise = engine.problem.model, {}
-    deviations = engine.deviations(vector, found) if found.finite else np.full(len(vector), np.nan)
+    deviations = filter.deviations(engine, vector, found) if found.finite else np.full(len(vector), np.nan)
     _, log_sd = engine.layout.split(vector)
     for place, channel in enumerate(engine.noise.learned):
         value, sd = float(np.exp(log_sd[place])), finite(float(deviations[engine.parameters.size + place]))
@@ -201,7 +201,14 @@ def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> Likelih
         noise,
         _whiteness(engine, found),
         least,
+        unbounded=tuple(model.channels[i].name for i in maximum.unbounded) or None,
     )
+
+
+def _fitted(engine: FilterEngine) -> int:
+    """The number of entries of the vector that are fitted, without those of splines that nothing depends on."""
+    weights = sum(network.parameters for network in engine.problem.model.networks)
+    return int(engine.layout.free[engine.parameters.n_weights :].sum()) + weights
 
 
 def _whiteness(engine: FilterEngine, found: Filtered) -> dict[str, WhitenessRecord]:
@@ -241,7 +248,7 @@ def _of_constants(engine: FilterEngine, vector: Array, found: Filtered) -> Covar
     parameters, count = engine.parameters, len(engine.parameters.shared)
     places = slice(parameters.n_weights, parameters.n_shared)
     slopes = parameters.bijections(parameters.shared).derivative(vector[places])
-    conditional = slopes[:, None] * engine.covariance(vector, found)[places, places] * slopes
+    conditional = slopes[:, None] * filter.covariance(engine, vector, found)[places, places] * slopes
     if not np.isfinite(conditional).all():
         return None
     size = np.sqrt(np.maximum(np.diag(conditional), 1e-300))

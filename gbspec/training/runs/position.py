@@ -31,7 +31,7 @@ class Position:
     number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
     weighed, if they are; `ridge` and `damping` are those of the last stage that had any, `entry_ridge` that at `entry`.
     `maximum`: whether a stage has ended at a maximum of the likelihood; `held`: whether `best` is no such end, since
-    held-out data chose it on the way.
+    held-out data chose it on the way. `common`: whether all members hold out the same trajectories.
     """
 
     stage: int = 0
@@ -56,6 +56,7 @@ class Position:
     maximum: bool = False
     held: bool = False
     entry_ridge: float = 0.0
+    common: bool = True
 
     @property
     def fitted_stages(self) -> list[StageRecord]:
@@ -123,6 +124,7 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         damping=float(arrays.get("damping", np.array(0.0))),
         maximum=bool(known) if remarks.maximum is None else remarks.maximum,
         held=chosen if remarks.held is None else remarks.held,
+        common=remarks.common,
         entry_ridge=ridge if remarks.entry_ridge is None else float.fromhex(remarks.entry_ridge),
         estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
     )
@@ -153,6 +155,7 @@ def write_position(directory: Path, position: Position, fixed: Mapping[str, Arra
         pieces=kind == "pieces",
         maximum=position.maximum,
         held=position.held,
+        common=position.common,
         entry_ridge=position.entry_ridge.hex(),
         stages=tuple(position.stages),
         notes=tuple(position.notes),

@@ -23,6 +23,7 @@ class Remarks:
 
     `smooth`: whether the measured values were smoothed for the warm start, `pieces`: whether piece by piece.
     `maximum`, `held` and `entry_ridge` (hexadecimal) are those of a `Position`; older checkpoints have none.
+    `common`: whether all members hold out the same trajectories; in older checkpoints their seeds chose them.
     """
 
     stage: int
@@ -39,6 +40,7 @@ class Remarks:
     maximum: bool | None = None
     held: bool | None = None
     entry_ridge: str | None = None
+    common: bool = False
 
     @property
     def curves(self) -> CurveKind:

@@ -17,6 +17,7 @@ from gbspec.training.problem import share_that_counts
 from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
 from gbspec.training.runs.naming import labelled
 from gbspec.training.runs.offered import offered
+from gbspec.training.runs.unbounded import said_of_unbounded
 
 GOOD = 0.9
 """A fit that explains more than this, and leaves nothing but noise, is not doubted because a simple curve does too."""
@@ -298,10 +299,10 @@ def innovations(
     gone = [f"`{name}` ({one.value:.2g})" for name, one in likelihood.noise.items() if one.interval is None]
     if gone:
         out.append(
-            f"the learned noise of {', '.join(gone)} has gone to zero: all that measurements scatter is taken for a "
-            "disturbance. If the noise is known, state it: `noise normal(…)`"
+            f"the learned noise of {', '.join(gone)} has gone to zero, or is not told from it: all that measurements "
+            "scatter is taken for a disturbance. If the noise is known, state it: `noise normal(…)`"
         )
-    return out
+    return [*out, *said_of_unbounded(likelihood, model)]
 
 
 def _other_disturbances(model: Model | None) -> str:

@@ -6,6 +6,9 @@ from .ahead import steps_ahead as steps_ahead
 from .ahead import with_smoothed_starts as with_smoothed_starts
 from .engine import GONE as GONE
 from .engine import FilterEngine as FilterEngine
+from .known import covariance as covariance
+from .known import deviations as deviations
+from .known import without_followed as without_followed
 from .layout import At as At
 from .recursion import Moment as Moment
 from .relinearised import iterated as iterated

@@ -314,29 +314,6 @@ class FilterEngine:
             yield rows, flows, readings, self.advance(moment, legs.owner[index], flows, readings, place, None)
 
     # ---------------------------------------------------------------- what follows from a filter
-    def deviations(self, vector: Array, found: Filtered) -> Array:
-        """The standard deviations of the vector's entries, from the information; NaN where there is none. Constants at
-        bounds and noises at zero are held."""
-        matrix = self.information(vector, found).matrix
-        deviations = _deviations(_inverse(matrix))
-        held = self._held(matrix, vector, deviations)
-        return np.where(held, deviations, _deviations(_inverse(matrix))) if held.any() else deviations
-
-    def covariance(self, vector: Array, found: Filtered) -> Array:
-        """The covariance [size, size] of the vector's entries, whose diagonal has the squares of `deviations`; 0 for
-        what is held there, NaN in the diagonal where there is no information."""
-        matrix = self.information(vector, found).matrix
-        held = self._held(matrix, vector, _deviations(_inverse(matrix)))
-        out = _inverse(matrix)
-        out[held, held] = 0.0
-        return out
-
-    def _held(self, matrix: Array, vector: Array, deviations: Array) -> Mask:
-        """The entries that ended, of which an information says nothing any more: it is changed in place."""
-        held = self.ended(vector, deviations)
-        matrix[held], matrix[:, held] = 0.0, 0.0
-        return held
-
     def ended(self, vector: Array, deviations: Array) -> Mask:
         """The entries [size] of a vector with these standard deviations that ended at a bound: constants that
         trajectories share, and noises at zero. Nothing changes any more with them."""
@@ -424,21 +401,6 @@ def _first_states(engine: FilterEngine) -> Array:
         here = values[row[some]]
         last[owner[some]] = np.where(seen[row[some]], here, last[owner[some]])
     return out
-
-
-def _inverse(matrix: Array) -> Array:
-    """The inverse of an information; NaN in its diagonal, and 0 beside, where there is none."""
-    size = np.diag(matrix)
-    scale = np.where(size > 0, 1 / np.sqrt(np.where(size > 0, size, 1.0)), 0.0)
-    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-    out = np.asarray(scale[:, None] * inverse * scale, dtype=np.float64)
-    np.fill_diagonal(out, np.where(size > 0, np.diag(out), np.nan))
-    return out
-
-
-def _deviations(inverse: Array) -> Array:
-    """The roots of the diagonal of an inverse; NaN where there is none."""
-    return np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
 
 __all__ = ["GONE", "FilterEngine", "Filtered", "Guess", "Information", "Innovations"]
