@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 LOWER = 0.1
 """-2 log likelihood of a larger model that is above a smaller one's by more is not at its least; stages end where a
 step promises less."""
+_PRIORS = "has constants with a prior: it is not at a maximum of likelihood"
 
 
 @dataclass(frozen=True)
@@ -206,6 +207,9 @@ def _compared(run: Run) -> Compared:
             if population.held:
                 help_text = "fit it without `--holdout`: maxima are compared"
             raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+        if _has_priors(run):
+            help_text = "`gbspec crossvalidate` compares models with priors"
+            raise UserError([Diagnostic("GB775", f"`{run.path}` {_PRIORS}", None, help=help_text)])
         return Compared(
             str(run.path),
             run.model.name,
@@ -232,8 +236,8 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
     help_text = "`gbspec crossvalidate` compares models with `diffusion`, unknown functions and priors"
     if run.model.networks:
         said = "has unknown functions, whose weights have a prior: it is not at a maximum of likelihood"
-    elif any(learnable.prior is not None for learnable in run.model.learnables):
-        said = "has constants with a prior: it is not at a maximum of likelihood"
+    elif _has_priors(run):
+        said = _PRIORS
     elif found.maximum is False:
         said = "is not at the maximum of its likelihood: its stage `innovations` ended early"
         help_text = "the warnings of the run say more; maxima are compared"
@@ -251,6 +255,10 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
         said = "does not have the maximum of its likelihood"
         help_text = "fit it again: it is of an older version of gbspec"
     raise UserError([Diagnostic("GB775", f"`{run.path}` {said}", None, help=help_text)])
+
+
+def _has_priors(run: Run) -> bool:
+    return any(learnable.prior is not None for learnable in run.model.learnables)
 
 
 def _parameters(run: Run) -> frozenset[str]:

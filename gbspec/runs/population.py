@@ -66,7 +66,8 @@ class PopulationRecord:
     `exact_hessian` is -2 log L by Laplace's method with the exact inner Hessian at the same estimates (None: that is
     not positive definite for some trajectory). `minus2ll` is None where it is not a finite number. `maximum`: whether
     the likelihood is at its maximum; where the stage that maximises it did not run, or ended early, or `held`, it is
-    not, and there are no AIC and BIC. `held`: held-out data chose weights of networks on the way to the maximum."""
+    not, and there are no AIC and BIC; nor are there with priors of constants, with which the estimates are not at the
+    maximum of L. `held`: held-out data chose weights of networks on the way to the maximum."""
 
     minus2ll: float | None
     effects: Mapping[str, EffectRecord]

@@ -29,7 +29,7 @@ def values() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of a random level, of one level for all, of that by least squares, by quadrature, and of other data."""
+    """Runs of a random level, of one for all, of that by least squares, by quadrature, of other data, with a prior."""
     folder = tmp_path_factory.mktemp("compare")
 
     def fit(name: str, text: str, data: np.ndarray, options: TrainOptions = OPTIONS) -> None:
@@ -42,12 +42,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fit("squares", SQUARES, values())
     fit("nodes", LEVEL, values(), TrainOptions(backend="torch", max_step=1.0, effort="low", quadrature=3))
     fit("other", LEVEL, values() + 1)
+    fit("prior", LEVEL.replace("~ normal(s)", "~ normal(s) prior normal(2, 0.5)"), values())
     return folder
 
 
 @pytest.fixture
 def place(runs: Path, here: Path) -> Path:
-    for name in ("each", "shared", "squares", "nodes", "other"):
+    for name in ("each", "shared", "squares", "nodes", "other", "prior"):
         shutil.copytree(runs / name, here / name)
     return here
 
@@ -89,6 +90,7 @@ def test_nested_runs_are_tested_by_their_likelihoods(place: Path, document: Run,
         (("each", "columns"), "do not observe the same columns"),
         (("each", "nowhere"), "nowhere"),
         (("each", "absent"), "different numbers of values of the same table"),
+        (("each", "prior"), "`prior` has constants with a prior: it is not at a maximum of likelihood"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(place: Path, gbspec: Run, names: tuple[str, str], said: str) -> None:

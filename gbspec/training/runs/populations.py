@@ -326,13 +326,14 @@ def _record(context: Context, found: PopulationResult, objective: Objective, max
     }
     likelihood = objective.marginal.likelihood
     values = len(likelihood.value) + float(likelihood.more.sum())  # replicates count as values of their own
+    of_likelihood = maximum and all(k.prior is None for k in context.model.learnables)
     return PopulationRecord(
         finite(found.point.minus2ll),
         effects,
         {name: row for name, row in correlations.items() if row},
         found.used,
-        finite(found.point.minus2ll + 2 * found.used) if maximum else None,
-        finite(found.point.minus2ll + found.used * float(np.log(max(values, 1)))) if maximum else None,
+        finite(found.point.minus2ll + 2 * found.used) if of_likelihood else None,
+        finite(found.point.minus2ll + found.used * float(np.log(max(values, 1)))) if of_likelihood else None,
         objective.marginal.nodes,
         found.ridge if context.model.networks else None,
         exact_hessian=finite(found.exact),
