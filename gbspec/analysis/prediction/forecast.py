@@ -105,7 +105,8 @@ class Errors:
     """Errors at the `n` measurements that were not used; `covered` is the fraction of them inside the intervals.
 
     `rmse` is in the channel's unit; `nrmse` is relative to the standard deviation of these measurements, both of
-    logarithms where the noise is log-normal (`logarithms`), as is `rmse_of_logarithms`.
+    logarithms where the noise is log-normal (`logarithms`), as is `rmse_of_logarithms`. These leave out the
+    `not_positive` predictions, which have no logarithm; their measurements are in no interval.
     """
 
     n: int
@@ -114,11 +115,13 @@ class Errors:
     covered: float
     logarithms: bool = False
     rmse_of_logarithms: float = math.nan
+    not_positive: int = 0
 
     def to_json(self) -> dict[str, object]:
         """The errors as JSON; undefined numbers are null, and `logarithms` is there where these are compared."""
         numbers = {name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}
         more = {"logarithms": True, "rmse_of_logarithms": finite(self.rmse_of_logarithms)} if self.logarithms else {}
+        more |= {"not_positive": self.not_positive} if self.not_positive else {}
         return {"n": self.n, **numbers, **more}
 
     def __str__(self) -> str:
@@ -127,7 +130,10 @@ class Errors:
         if self.logarithms:
             size = self.rmse_of_logarithms
             typical = f"error of {100 * size:.2g} %" if size < RELATIVE else f"factor of {math.exp(size):.2g}"
-            relative = f"; of logarithms {size:.3g} (a typical {typical})"
+            left = f"; without {self.not_positive} whose prediction is not positive" if self.not_positive else ""
+            relative = f"; of logarithms {size:.3g} (a typical {typical}{left})"
+            if self.not_positive == self.n:
+                relative = "; none of logarithms, as no prediction is positive"
         inside = f"{100 * self.covered:.0f} % inside the 90 % intervals"
         return f"{what}; rmse {self.rmse:.4g}{relative}, {inside}"
 
@@ -186,11 +192,13 @@ class Forecast(Tabled):
                 rmse = float(np.sqrt(np.mean((measured - mean)[seen] ** 2)))
                 log = any(bool(item.in_logarithms[j]) for item, _ in parts)
                 values, predicted = on_fitted_scale(measured[seen], mean[seen], log)
-                width = float(np.nanstd(values))
                 inside = (measured >= low) & (measured <= high)
-                size = float(np.sqrt(np.nanmean((values - predicted) ** 2)))
+                known = np.isfinite(values) & np.isfinite(predicted)
+                width = float(np.std(values[known])) if known.any() else math.nan
+                size = float(np.sqrt(np.mean((values - predicted)[known] ** 2))) if known.any() else math.nan
                 relative, covered = size / width if width > 0 else math.nan, float(np.mean(inside[seen]))
-                found[name] = Errors(int(seen.sum()), rmse, relative, covered, log, size if log else math.nan)
+                below = int((mean[seen] <= 0).sum()) if log else 0
+                found[name] = Errors(int(seen.sum()), rmse, relative, covered, log, size if log else math.nan, below)
         return found
 
     def to_json(self) -> dict[str, object]:
