@@ -15,6 +15,7 @@ from gbspec.analysis.prediction import (
     mean_prediction,
     missed,
     predictions,
+    said_of_anew,
     said_of_defaults,
     said_of_groups,
     said_of_not_positive,
@@ -248,7 +249,7 @@ def validate(
         if not run.model.diffusions:
             check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
-        warnings += said_of_defaults(run, trajectories.items)
+        warnings += [*said_of_defaults(run, trajectories.items), *said_of_anew(run, trajectories)]
         warnings += _without_logarithm(run.model, present, predicted)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
@@ -302,7 +303,8 @@ def _on_data(
 
 def _without_logarithm(model: Model, trajectories: Trajectories, predictions: Sequence[Prediction]) -> list[str]:
     """A warning of each channel with log-normal noise of which measured rows have predictions of zero or less."""
-    log, effect, solved = logarithmic(model), "nrmse, R² and the worst row leave them out", []
+    log, solved = logarithmic(model), []
+    effect = f"nrmse and R² of {FROM_STARTS}, " if model.diffusions else "nrmse, R² and the worst row "
     for item, one in zip(trajectories.items, predictions, strict=True):
         if not one.failure:
             solved.append(np.where(item.values > 0, one.channels, np.nan))
@@ -310,7 +312,9 @@ def _without_logarithm(model: Model, trajectories: Trajectories, predictions: Se
     return [
         said
         for j in np.flatnonzero(log)
-        for said in said_of_not_positive(model, int(j), stacked[:, j], int(np.isfinite(stacked[:, j]).sum()), effect)
+        for said in said_of_not_positive(
+            model, int(j), stacked[:, j], int(np.isfinite(stacked[:, j]).sum()), f"{effect}leave them out"
+        )
     ]
 
 
