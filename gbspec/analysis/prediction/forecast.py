@@ -24,7 +24,7 @@ from gbspec.analysis.prediction.members import MemberPredictions
 from gbspec.analysis.prediction.moving_jumps import said_of_moving_jumps
 from gbspec.analysis.prediction.nearby import hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import ALIKE, ORIGINS, Start, labels_of
+from gbspec.analysis.prediction.solutions import ALIKE, BY_MODEL, ORIGINS, Start, labels_of
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import window_rows
 from gbspec.arrays import Array, Mask
@@ -154,7 +154,8 @@ class Forecast(Tabled):
     def to_frame(self) -> pl.DataFrame:
         """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
 
-        `used` is `training`, `window` (initial states and own constants were estimated from this row) or `predicted`;
+        `used` is `training`, `window` (this row gave initial states and own constants, or these were estimated from it)
+        or `predicted`;
         `outside` names the states and conditions that lie beyond the range in which the model was trained.
         """
         times = np.concatenate([np.zeros(0), *(item.times for item in self.items)])
@@ -224,8 +225,8 @@ class Forecast(Tabled):
 
     def __str__(self) -> str:
         lines = [f"{name}: {one}" for name, one in self.errors().items()]
-        for origin, words in ORIGINS.items():
-            of_it = [item for item in self.items if item.start.origin == origin and not item.alike]
+        for words in (*ORIGINS.values(), BY_MODEL):
+            of_it = [item for item in self.items if _origin(item) == words and not item.alike]
             if of_it:
                 what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
                 lines.append(f"{counted(len(of_it), 'trajectory')}: {words}" + (f" ({what})" if what else ""))
@@ -357,8 +358,11 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
         ("it has the same rows as one of the training data", "they have the same rows as some of the training data"): [
             item.label for item in items if item.start.origin == "learned" and item.alike
         ],
+        ("the model gives its start", "the model gives their starts"): [
+            item.label for item in items if _origin(item) == BY_MODEL and window > 1
+        ],
         ("the model or the first row gives its start", "the model or the first row gives their starts"): [
-            item.label for item in items if item.start.origin == "known" and window > 1
+            item.label for item in items if _origin(item) == ORIGINS["known"] and window > 1
         ],
     }
     given = "the window" if window > 1 else "a start at the first row (`--from-start`, or a window of one row)"
@@ -368,6 +372,12 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
         for why, labels in groups.items()
         if labels
     ]
+
+
+def _origin(item: PredictedTrajectory) -> str:
+    """What is said of the origin of a trajectory's start: of known ones whether a row is used for them."""
+    given = item.start.origin == "known" and "window" not in item.used
+    return BY_MODEL if given else ORIGINS[item.start.origin]
 
 
 def _some(listed: Sequence[str]) -> str:
@@ -389,7 +399,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     trained = len(item.times) if position is not None else longer[1] if longer is not None else 0
     goes_on = bool(trained) and window is None
     fixed = not each[0].estimator.free(item) and not own
-    rows = trained if position is not None or goes_on else window_rows(item, fixed, window)
+    rows = trained if position is not None or goes_on else window_rows(item, model, fixed, window)
     views = [one.view(index, rows, goes_on) for one in each]
     failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
     values = np.stack([v.variables for v in views])
