@@ -180,7 +180,8 @@ def _one_at_a_time(table: Records, quantity: Quantity, cells: Series, findings: 
 
 
 def _constant(table: Records, quantity: Quantity, default: float | None, findings: Findings) -> None:
-    """Reports conditions that change within a trajectory, or have no value and no default."""
+    """Reports conditions that change within a trajectory, or have no value and no default, and names the trajectories
+    without one in a column that has a default: it is taken there."""
     cells = table.series.get(quantity)
     filled: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if cells is not None:
@@ -202,9 +203,14 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
                 help="begin a new trajectory there" + (varies if not quantity.categories else ""),
                 notes=notes,
             )
-    if default is not None or (cells is None and quantity.required):
-        return  # a column that is missing altogether has been reported
     empty = np.setdiff1d(np.unique(table.group), filled)
+    if cells is None and (quantity.required or default is not None):
+        return  # a column that is missing altogether has been reported, or need not be there
+    if not len(empty) or _unreadable(quantity, findings):
+        return
+    if default is not None:
+        _assumed(table, quantity, default, empty, findings)
+        return
     for g, notes in shown(empty, "trajectories"):
         row = int(table.row[np.searchsorted(table.group, g)])
         findings.error(
@@ -214,6 +220,26 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
             help="fill it in one row of the trajectory, or give the condition a default in the model",
             notes=notes,
         )
+
+
+def _unreadable(quantity: Quantity, findings: Findings) -> bool:
+    """Whether cells of a quantity were reported, so that they are not empty although they have no value."""
+    places = [d.place for d in findings.errors if d.code in ("GB712", "GB713", "GB730", "GB731", "GB733")]
+    return any(isinstance(place, Cell) and place.column in (quantity.column, "value") for place in places)
+
+
+def _assumed(table: Records, quantity: Quantity, default: float, empty: NDArray[np.int64], findings: Findings) -> None:
+    """Warns of the trajectories `empty` that have the default of a condition although the table has it."""
+    of = len(np.unique(table.group))
+    listed = ", ".join(f"`{table.labels[g]}`" for g in empty[:5]) + (", ..." if len(empty) > 5 else "")
+    where = "all trajectories" if len(empty) == of else f"{len(empty)} of {of} trajectories ({listed})"
+    findings.warning(
+        "GB793",
+        f"`{quantity.column}` is empty in {where}: its default, {_shown(quantity, default)}, is taken there",
+        Cell(table.path, int(table.row[np.searchsorted(table.group, empty[0])]), quantity.column),
+        help="fill it in where it is known, also where it is the default",
+        subject=quantity.name,
+    )
 
 
 def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: Findings) -> None:

@@ -30,6 +30,8 @@ def to_arrays(trajectories: Trajectories) -> tuple[dict[str, Array], dict[str, o
             arrays |= {f"{i}.limits": item.limits.value, f"{i}.side": item.limits.side.astype(np.float64)}
         if item.scatter is not None:
             arrays[f"{i}.scatter"] = item.scatter
+        if item.assumed:
+            arrays[f"{i}.assumed"] = np.array(item.assumed, dtype=np.float64)
         arrays[f"{i}.start"] = np.array([item.start, *before])
         for j, signal in enumerate(item.inputs):
             arrays |= {f"{i}.input.{j}.times": signal.times, f"{i}.input.{j}.values": signal.values}
@@ -49,6 +51,7 @@ def from_arrays(
             run_in=_run_in(arrays[f"{i}.start"]),
             limits=_limits(arrays, i),
             scatter=arrays.get(f"{i}.scatter"),
+            assumed=tuple(int(place) for place in arrays.get(f"{i}.assumed", ())),
             condition=arrays[f"{i}.condition"],
             inputs=tuple(
                 Signal(arrays[f"{i}.input.{j}.times"], arrays[f"{i}.input.{j}.values"]) for j in range(inputs)

@@ -68,8 +68,8 @@ def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channel
     del sheet  # its texts are not needed any more, and a table may take most of the memory
     check(table, model, wanted, require_channels, findings)
     findings.raise_if_failed()
-    conditions = _conditions(table, model)
-    items = _cut(table, model, require_channels, conditions, regimens(table, model, conditions, findings))
+    conditions, known = _conditions(table, model)
+    items = _cut(table, model, require_channels, conditions, known, regimens(table, model, conditions, findings))
     channels = tuple(channel.name for channel in model.channels)
     return Trajectories(items, channels, *source, kind, form_of(model))
 
@@ -92,9 +92,10 @@ def _recorded(
 
 
 def _cut(
-    table: Records, model: Model, measured_only: bool, conditions: Array, given: Sequence[Given]
+    table: Records, model: Model, measured_only: bool, conditions: Array, known: Mask, given: Sequence[Given]
 ) -> tuple[Trajectory, ...]:
-    """The trajectories of valid records, in the order of their first rows."""
+    """The trajectories of valid records, in the order of their first rows; `known` are the `conditions` that the table
+    has."""
     values, counts, sd, scatter, limits = _measurements(table, logarithmic(model))
     starts = starts_of(table, model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
@@ -132,6 +133,7 @@ def _cut(
                 run_in=run_in,
                 limits=limits.rows(rows) if limits is not None and limits.side[rows].any() else None,
                 scatter=scatter[rows] if (counts[rows] > 1).any() else None,
+                assumed=tuple(int(i) for i in np.flatnonzero(~known[g])),
             )
         )
     return tuple(items)
@@ -185,14 +187,16 @@ def _averages(key: NDArray[np.int64], value: Array, sd: Array, size: int, logs: 
         return average, unit * np.sqrt(variance) / count, unit**2 * off
 
 
-def _conditions(table: Records, model: Model) -> Array:
-    """The conditions of each trajectory, [trajectories, conditions]."""
+def _conditions(table: Records, model: Model) -> tuple[Array, Mask]:
+    """The conditions of each trajectory, [trajectories, conditions], and which of them the table has."""
     default = [np.nan if item.default is None else item.default for item in model.conditions]
     conditions = np.tile(np.array(default, dtype=np.float64), (len(table.labels), 1))
+    known = np.zeros(conditions.shape, dtype=bool)
     for quantity, cells in table.series.items():
         if quantity.role == "condition":
-            conditions[table.group[cells.key], quantity.index] = cells.value
-    return conditions
+            place = table.group[cells.key], quantity.index
+            conditions[place], known[place] = cells.value, True
+    return conditions, known
 
 
 def _pieces(table: Records, index: int) -> list[tuple[Array, Array]]:

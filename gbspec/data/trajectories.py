@@ -73,6 +73,7 @@ class Trajectory:
     that a steady state is reached; None without one. `limits` are its censored entries, which have no value and count
     as one measurement; None without any. `scatter` [R, C] is the sum of squared deviations of an entry's replicates
     from their average (log-normal noise: of their logarithms, times the average squared); None without replicates.
+    `assumed` are the indices of conditions of which the table has no value, so that `condition` has their default.
     """
 
     label: str
@@ -87,6 +88,7 @@ class Trajectory:
     run_in: RunIn | None = None
     limits: Limits | None = None
     scatter: Array | None = None
+    assumed: tuple[int, ...] = ()
 
     def at_rows(self, chosen: slice | Mask) -> Trajectory:
         """The trajectory with some of its rows; what is not measured stays."""

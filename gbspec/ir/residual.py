@@ -30,6 +30,8 @@ LOG_FLOOR = 1e-3
 """Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
 LEAST_SIZE = 1e-300
 """Replaces the size of a measured zero, which has no logarithm."""
+LEAST_PREDICTED = float(np.finfo(np.float64).tiny)
+"""Replaces predictions of zero or less where R² of a fit is not to leave them out: they are as bad as can be."""
 
 
 def logarithmic(model: Model) -> NDArray[np.bool_]:
@@ -38,19 +40,22 @@ def logarithmic(model: Model) -> NDArray[np.bool_]:
 
 
 def on_fitted_scale(
-    measured: NDArray[np.float64], predicted: NDArray[np.float64], logarithmic: NDArray[np.bool_] | bool
+    measured: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    logarithmic: NDArray[np.bool_] | bool,
+    least: float = np.nan,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Measured values and predictions [..., C] on the scale of the residuals, on which R² is computed: logarithms where
     `logarithmic` [C].
 
-    A measured value without a logarithm becomes NaN. A prediction of zero or less has the smallest positive number
-    instead: it is as bad as can be, and no reason to leave R² out.
+    A measured value without a logarithm becomes NaN, and so does a prediction of zero or less, unless `least` replaces
+    it.
     """
     if not np.any(logarithmic):
         return measured, predicted
     with np.errstate(divide="ignore", invalid="ignore"):
         of_measured = np.where(measured > 0, np.log(measured), np.nan)
-        of_predicted = np.log(np.maximum(predicted, np.finfo(np.float64).tiny))
+        of_predicted = np.log(np.where(predicted <= 0, least, predicted))
     return np.where(logarithmic, of_measured, measured), np.where(logarithmic, of_predicted, predicted)
 
 

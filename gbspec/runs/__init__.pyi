@@ -4,11 +4,13 @@ from .covariance import Certainties as Certainties
 from .covariance import Covariance as Covariance
 from .covariance import Support as Support
 from .covariance import read_certainties as read_certainties
+from .following import COLOURED as COLOURED
 from .following import EXACT as EXACT
 from .following import FOLLOWED as FOLLOWED
 from .following import SMALL_FOR_NOISE as SMALL_FOR_NOISE
 from .following import autocorrelated as autocorrelated
 from .following import how_followed as how_followed
+from .following import not_independent as not_independent
 from .following import said_of_training as said_of_training
 from .following import small_for_noise as small_for_noise
 from .locks import held_elsewhere as held_elsewhere

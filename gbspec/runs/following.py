@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from gbspec.runs.member import ChannelRecord, MemberRecord
+    from gbspec.runs.member import ChannelRecord, LikelihoodRecord, MemberRecord
 
 FOLLOWED, LOST = 0.9, 0.5
 """R² from which whole solutions follow a channel, and below which the fit is not to be relied on: they leave more than
@@ -16,6 +16,9 @@ ENOUGH = 10
 """With fewer pairs of successive residuals nothing is known of their correlation."""
 AUTOCORRELATED = 0.4
 """Residuals whose correlation with the next ones is above this, and beyond chance, are no noise of measurement."""
+COLOURED = 1e-3
+"""Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
+smaller probability."""
 CHANCE = 2.33
 """A correlation above so many standard errors is beyond chance: one of independent residuals is in 1 % of cases."""
 SMALL_FOR_NOISE = "what is left is no larger than the stated noise"
@@ -61,28 +64,61 @@ def autocorrelated(
     ]
 
 
+def not_independent(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord) -> dict[str, float | None]:
+    """The channels whose innovations are not independent, by the test of many correlations or by that with the next
+    row's, with the probability of the test."""
+    following = autocorrelated(channels)
+    tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
+    return {
+        name: p
+        for name, p in ((name, tested.get(name)) for name in channels)
+        if name in following or (p is not None and p < COLOURED)
+    }
+
+
 def said_of_training(members: Collection[MemberRecord]) -> list[str]:
     """Warnings for predictions of new rows: of the channels that no member follows in the training data, and of those
-    of which all members leave autocorrelated residuals."""
-    found = [member.channels for member in members if member.channels]
+    of which all members leave autocorrelated residuals, or innovations that are not independent."""
+    known = [member for member in members if member.channels]
+    found = [member.channels for member in known if member.channels]
     if not found:
         return []
     names = [name for name in found[0] if all(name in each for each in found)]
     badly = [name for name in names if all(how_followed(_r2(each[name]), [each[name]]) == "badly" for each in found)]
-    coloured = [name for name in names if name not in badly and all(name in autocorrelated(each) for each in found)]
-    filtered = any(member.likelihood is not None for member in members)
-    what = "the model lacks something" if filtered else "the system is disturbed, or the model lacks something"
+    left = [_coloured(member) for member in known]
+    coloured = [name for name in names if name not in badly and all(name in each for each in left)]
     out = []
     if badly:
         best = {name: max(_r2(each[name]) for each in found) for name in badly}
         listed = ", ".join(f"`{name}`" + (f" (R² {r2:.3g})" if math.isfinite(r2) else "") for name, r2 in best.items())
         out.append(f"the fit follows {listed} badly in the training data: do not rely on these predictions")
     if coloured:
-        out.append(
-            f"the residuals of {', '.join(f'`{name}`' for name in coloured)} in the training data are autocorrelated: "
-            f"{what}. Predictions of further rows are less certain than their intervals say"
-        )
+        listed = ", ".join(f"`{name}`" for name in coloured)
+        filtered = any(member.likelihood is not None for member in known)
+        out.append(_of_innovations(listed) if filtered else _of_residuals(listed))
     return out
+
+
+def _coloured(member: MemberRecord) -> Collection[str]:
+    """The channels of which a member leaves residuals that depend on each other: with a likelihood of disturbances
+    these are innovations."""
+    channels = member.channels or {}
+    return autocorrelated(channels) if member.likelihood is None else not_independent(channels, member.likelihood)
+
+
+def _of_innovations(listed: str) -> str:
+    return (
+        f"the innovations of {listed} in the training data are not independent: what disturbs the system lasts longer "
+        "than the time between two measurements, or the model lacks something. Intervals are too narrow then, and "
+        "predictions of many rows poor"
+    )
+
+
+def _of_residuals(listed: str) -> str:
+    return (
+        f"the residuals of {listed} in the training data are autocorrelated: the system is disturbed, or the model "
+        "lacks something. Predictions of further rows are less certain than their intervals say"
+    )
 
 
 def _r2(found: ChannelRecord) -> float:

@@ -79,3 +79,24 @@ def test_steps_change_residuals_by_a_small_part_of_themselves() -> None:
     assert suited(1e-3, 1e9, 1.0) == SHORTEST
     assert suited(1e-3, 1e-9, 1.0) == suited(1e-3, 0.0, 1.0) == LONGEST
     assert suited(1e-3, float("nan"), 1.0) == suited(1e-3, float("inf"), 1.0) == 1e-5
+
+
+@pytest.mark.parametrize(
+    ("start", "used", "said"),
+    [("initial x = 10\n", 0, "1 trajectory: the initial state is given by the model"),
+     ("", 1, "1 trajectory: the initial state is given by the first row and the model")],
+)  # fmt: skip
+def test_a_first_row_that_gives_no_start_is_not_used(
+    write_run: Callable[..., Run], start: str, used: int, said: str
+) -> None:
+    """Its value is compared with the prediction like all others."""
+    model, times = model_of(DECAY + start), np.linspace(0, 5, 10)
+    run = write_run(model, load_module(model)({"constants": np.zeros(0), "initial": np.full((1, 1), 10.0)}))
+    data = Trajectories((trajectory("new", 0.0, times, 10 * np.exp(-0.1 * times)[:, None], []),), ("x",))
+    found = forecast(run, data)
+    (item,) = found.items
+    assert item.used == ("window",) * used + ("predicted",) * (10 - used)
+    assert found.errors()["x"].n == 10 - used
+    assert said in str(found).split("\n")
+    again = [text for text in forecast(run, data, window=3).warnings if "has no effect" in text]
+    assert [text.endswith("(`new`): the model gives its start") for text in again] == ([True] if start else [])

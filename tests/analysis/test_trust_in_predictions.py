@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import gbspec
 from gbspec.analysis.prediction.forecast import forecast
 from gbspec.data import Trajectories
-from gbspec.runs import ChannelRecord, MemberRecord, said_of_training
+from gbspec.runs import ChannelRecord, LikelihoodRecord, MemberRecord, WhitenessRecord, said_of_training
 from gbspec.training import TrainOptions, train
+from gbspec.training.runs.verdict import innovations
 from tests.training.conftest import model_of, trajectory
 
 FOLLOWED = ChannelRecord(0.98, 0.1, autocorrelation=0.0, pairs=100)
@@ -40,6 +42,23 @@ def test_what_all_members_leave_is_told(members: list[MemberRecord], said: list[
     found = said_of_training(members)
     assert len(found) == len(said)
     assert all(words in text for words, text in zip(said, found, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("p", "autocorrelation", "said"),
+    [(1e-40, 0.05, True), (0.2, 0.05, False), (0.2, 0.6, True), (None, 0.6, True)],
+    ids=["by many rows", "independent", "by the next row", "not tested"],
+)
+def test_innovations_that_the_fit_calls_dependent_are_told(p: float | None, autocorrelation: float, said: bool) -> None:
+    """As the fit does: also where only correlations with later rows than the next one show it."""
+    record = ChannelRecord(0.98, 0.1, autocorrelation=autocorrelation, pairs=500)
+    tests = {} if p is None else {"x": WhitenessRecord(500, 20, 300.0, p, 0.1, p)}
+    likelihood = LikelihoodRecord("innovations", -100.0, 3, 500, -94.0, -80.0, whiteness=tests)
+    found = said_of_training([replace(member(x=record), likelihood=likelihood)])
+    assert [text.startswith("the innovations of `x` in the training data are not independent: ") for text in found] == (
+        [True] if said else []
+    )
+    assert bool(innovations({"x": record}, likelihood)) is said
 
 
 def test_a_forecast_of_further_rows_tells_of_autocorrelated_residuals(tmp_path: Path) -> None:
@@ -93,8 +112,10 @@ def test_conditions_that_have_their_defaults_where_the_training_had_others_are_t
     rows = [(T, t, np.exp(-0.7 * t * np.exp((T - 300) / 20))) for T in (290, 310) for t in np.linspace(0, 3, 9)]
     (tmp_path / "d.csv").write_text("trajectory,t,T,x\n" + "".join(f"{T},{t},{T},{x:.6f}\n" for T, t, x in rows))
     (tmp_path / "n.csv").write_text("trajectory,t,x\n" + "".join(f"{T},{t},{x:.6f}\n" for T, t, x in rows))
+    at = [(t, np.exp(-0.7 * t)) for t in np.linspace(0, 3, 9)]
+    (tmp_path / "e.csv").write_text("t,T,x\n" + "".join(f"{t},300,{x:.6f}\n" for t, x in at))
     run = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run")
-    words = "`T` has its default, 300, in all trajectories, as where a table has no column of it; in the training data"
-    for table, said in (("n.csv", True), ("d.csv", False)):
+    words = "`T` has its default, 300, in all trajectories, as the table has no value of it; in the training data"
+    for table, said in (("n.csv", True), ("d.csv", False), ("e.csv", False)):  # e.csv says that it is 300
         for found in (run.predict(tmp_path / table), run.validate(tmp_path / table)):
             assert any(f"{words} it was 290 to 310" in one for one in found.warnings) is said

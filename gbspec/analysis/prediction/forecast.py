@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import polars as pl
 
+from gbspec.analysis.prediction.anew import said_of_anew
 from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.defaults import said_of_defaults
 from gbspec.analysis.prediction.far_outside import said_of_states
@@ -23,7 +24,7 @@ from gbspec.analysis.prediction.members import MemberPredictions
 from gbspec.analysis.prediction.moving_jumps import said_of_moving_jumps
 from gbspec.analysis.prediction.nearby import hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import ALIKE, ORIGINS, Start, labels_of
+from gbspec.analysis.prediction.solutions import ALIKE, BY_MODEL, ORIGINS, Start, labels_of
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import window_rows
 from gbspec.arrays import Array, Mask
@@ -105,7 +106,8 @@ class Errors:
     """Errors at the `n` measurements that were not used; `covered` is the fraction of them inside the intervals.
 
     `rmse` is in the channel's unit; `nrmse` is relative to the standard deviation of these measurements, both of
-    logarithms where the noise is log-normal (`logarithms`), as is `rmse_of_logarithms`.
+    logarithms where the noise is log-normal (`logarithms`), as is `rmse_of_logarithms`. These leave out the
+    `not_positive` predictions, which have no logarithm; their measurements are in no interval.
     """
 
     n: int
@@ -114,11 +116,13 @@ class Errors:
     covered: float
     logarithms: bool = False
     rmse_of_logarithms: float = math.nan
+    not_positive: int = 0
 
     def to_json(self) -> dict[str, object]:
         """The errors as JSON; undefined numbers are null, and `logarithms` is there where these are compared."""
         numbers = {name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}
         more = {"logarithms": True, "rmse_of_logarithms": finite(self.rmse_of_logarithms)} if self.logarithms else {}
+        more |= {"not_positive": self.not_positive} if self.not_positive else {}
         return {"n": self.n, **numbers, **more}
 
     def __str__(self) -> str:
@@ -127,7 +131,10 @@ class Errors:
         if self.logarithms:
             size = self.rmse_of_logarithms
             typical = f"error of {100 * size:.2g} %" if size < RELATIVE else f"factor of {math.exp(size):.2g}"
-            relative = f"; of logarithms {size:.3g} (a typical {typical})"
+            left = f"; without {self.not_positive} whose prediction is not positive" if self.not_positive else ""
+            relative = f"; of logarithms {size:.3g} (a typical {typical}{left})"
+            if self.not_positive == self.n:
+                relative = "; none of logarithms, as no prediction is positive"
         inside = f"{100 * self.covered:.0f} % inside the 90 % intervals"
         return f"{what}; rmse {self.rmse:.4g}{relative}, {inside}"
 
@@ -147,7 +154,8 @@ class Forecast(Tabled):
     def to_frame(self) -> pl.DataFrame:
         """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
 
-        `used` is `training`, `window` (initial states and own constants were estimated from this row) or `predicted`;
+        `used` is `training`, `window` (this row gave initial states and own constants, or these were estimated from it)
+        or `predicted`;
         `outside` names the states and conditions that lie beyond the range in which the model was trained.
         """
         times = np.concatenate([np.zeros(0), *(item.times for item in self.items)])
@@ -186,11 +194,13 @@ class Forecast(Tabled):
                 rmse = float(np.sqrt(np.mean((measured - mean)[seen] ** 2)))
                 log = any(bool(item.in_logarithms[j]) for item, _ in parts)
                 values, predicted = on_fitted_scale(measured[seen], mean[seen], log)
-                width = float(np.nanstd(values))
                 inside = (measured >= low) & (measured <= high)
-                size = float(np.sqrt(np.nanmean((values - predicted) ** 2)))
+                known = np.isfinite(values) & np.isfinite(predicted)
+                width = float(np.std(values[known])) if known.any() else math.nan
+                size = float(np.sqrt(np.mean((values - predicted)[known] ** 2))) if known.any() else math.nan
                 relative, covered = size / width if width > 0 else math.nan, float(np.mean(inside[seen]))
-                found[name] = Errors(int(seen.sum()), rmse, relative, covered, log, size if log else math.nan)
+                below = int((mean[seen] <= 0).sum()) if log else 0
+                found[name] = Errors(int(seen.sum()), rmse, relative, covered, log, size if log else math.nan, below)
         return found
 
     def to_json(self) -> dict[str, object]:
@@ -215,8 +225,8 @@ class Forecast(Tabled):
 
     def __str__(self) -> str:
         lines = [f"{name}: {one}" for name, one in self.errors().items()]
-        for origin, words in ORIGINS.items():
-            of_it = [item for item in self.items if item.start.origin == origin and not item.alike]
+        for words in (*ORIGINS.values(), BY_MODEL):
+            of_it = [item for item in self.items if _origin(item) == words and not item.alike]
             if of_it:
                 what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
                 lines.append(f"{counted(len(of_it), 'trajectory')}: {words}" + (f" ({what})" if what else ""))
@@ -267,6 +277,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         time=run.model.time.name,
         warnings=(
             *said_of_defaults(run, present),
+            *said_of_anew(run, trajectories),
             *said_of_items(items, _narrow(run.model) if len(each) == 1 and each[0].covariance is None else ""),
             *_without_effect(items, window),
             *said_of_moving_jumps(run),
@@ -347,8 +358,11 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
         ("it has the same rows as one of the training data", "they have the same rows as some of the training data"): [
             item.label for item in items if item.start.origin == "learned" and item.alike
         ],
+        ("the model gives its start", "the model gives their starts"): [
+            item.label for item in items if _origin(item) == BY_MODEL and window > 1
+        ],
         ("the model or the first row gives its start", "the model or the first row gives their starts"): [
-            item.label for item in items if item.start.origin == "known" and window > 1
+            item.label for item in items if _origin(item) == ORIGINS["known"] and window > 1
         ],
     }
     given = "the window" if window > 1 else "a start at the first row (`--from-start`, or a window of one row)"
@@ -358,6 +372,12 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
         for why, labels in groups.items()
         if labels
     ]
+
+
+def _origin(item: PredictedTrajectory) -> str:
+    """What is said of the origin of a trajectory's start: of known ones whether a row is used for them."""
+    given = item.start.origin == "known" and "window" not in item.used
+    return BY_MODEL if given else ORIGINS[item.start.origin]
 
 
 def _some(listed: Sequence[str]) -> str:
@@ -379,7 +399,7 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     trained = len(item.times) if position is not None else longer[1] if longer is not None else 0
     goes_on = bool(trained) and window is None
     fixed = not each[0].estimator.free(item) and not own
-    rows = trained if position is not None or goes_on else window_rows(item, fixed, window)
+    rows = trained if position is not None or goes_on else window_rows(item, model, fixed, window)
     views = [one.view(index, rows, goes_on) for one in each]
     failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
     values = np.stack([v.variables for v in views])

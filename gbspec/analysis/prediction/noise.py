@@ -124,13 +124,14 @@ def interval(
     mean: Array, sd: Array, in_logarithms: Mask | bool, half: float = NORMAL_90, counted: Mask | bool = False
 ) -> tuple[Array, Array]:
     """The 90 % interval around `mean`: both ends, of the same shape, `half` the width in standard deviations away;
-    multiplicative for noise of logarithms. Of counts (`counted`) both ends are quantiles of the distribution with this
+    multiplicative for noise of logarithms, which has no interval (NaN) around values that are not positive, except that
+    of an exact zero: an absent state. Of counts (`counted`) both ends are quantiles of the distribution with this
     mean and standard deviation (`gbspec.ir.count_quantile`), whole numbers from 0, and so belong to the interval."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        factor = np.exp(half * sd / np.abs(mean))
-        by_factor = in_logarithms & np.isfinite(factor)
-        low = np.where(by_factor, np.minimum(mean / factor, mean * factor), mean - half * sd)
-        high = np.where(by_factor, np.maximum(mean / factor, mean * factor), mean + half * sd)
+        factor = np.exp(half * sd / mean)
+        factor = np.where((mean > 0) & np.isfinite(factor), factor, np.where((mean == 0) & (sd == 0), 1.0, np.nan))
+        low = np.where(in_logarithms, mean / factor, mean - half * sd)
+        high = np.where(in_logarithms, mean * factor, mean + half * sd)
     which = np.broadcast_to(counted, mean.shape)
     if which.any():
         from scipy.special import ndtr  # not every command needs it

@@ -38,6 +38,8 @@ ORIGINS: dict[Origin, str] = {
     "failed": "no initial state was found from which it can be solved",
 }
 """What is said of trajectories by the origin of their starts."""
+BY_MODEL = "the initial state is given by the model"
+"""The same of known starts for which no row is used."""
 ALIKE = "the same rows as one of the training data that has another label: predicted from what was learned there"
 """The same of those whose starts were learned of a trajectory with another label."""
 

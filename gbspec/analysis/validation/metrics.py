@@ -105,7 +105,8 @@ class ChannelErrors:
 
     `nrmse` is the root mean square of the errors over the standard deviation of the measured values (their magnitude,
     if they do not vary), so that `r2 = 1 - nrmse**2`; `r2` is NaN if the values do not vary. With `logarithms` these
-    two are of the logarithms of values and predictions, on which channels with log-normal noise are fitted.
+    two are of the logarithms of values and predictions, on which channels with log-normal noise are fitted, and leave
+    out the `not_positive` predictions, which have none.
     """
 
     n: int
@@ -114,9 +115,11 @@ class ChannelErrors:
     mae: float
     r2: float
     logarithms: bool = False
+    not_positive: int = 0
 
     def to_json(self) -> dict[str, object]:
-        """Keys n, rmse, nrmse, mae, r2, null for an undefined number; and logarithms, where these are compared."""
+        """Keys n, rmse, nrmse, mae, r2, null for an undefined number; and logarithms, where these are compared, with
+        not_positive, where there are such predictions."""
         document: dict[str, object] = {
             "n": self.n,
             "rmse": finite(self.rmse),
@@ -124,24 +127,29 @@ class ChannelErrors:
             "mae": finite(self.mae),
             "r2": finite(self.r2),
         }
-        return document | ({"logarithms": True} if self.logarithms else {})
+        document |= {"logarithms": True} if self.logarithms else {}
+        return document | ({"not_positive": self.not_positive} if self.not_positive else {})
 
 
 def channel_errors(measured: Array, predicted: Array, logarithms: bool = False) -> ChannelErrors:
     """Errors of one channel; both arrays of the same shape, NaN for values that are not compared."""
     scaled = on_fitted_scale(measured, predicted, logarithms)
-    compared = np.isfinite(scaled[0]) & np.isfinite(scaled[1])
-    n = int(compared.sum())
+    known = np.isfinite(scaled[0]) & np.isfinite(predicted)
+    n = int(known.sum())
     if n == 0:
         return ChannelErrors(0, math.nan, math.nan, math.nan, math.nan, logarithms)
-    difference = predicted[compared] - measured[compared]
+    difference = predicted[known] - measured[known]
     rmse, mae = float(np.sqrt(np.mean(difference**2))), float(np.mean(np.abs(difference)))
+    compared = known & np.isfinite(scaled[1])
+    left = n - int(compared.sum())
+    if left == n:
+        return ChannelErrors(n, rmse, math.nan, mae, math.nan, logarithms, left)
     values, error = scaled[0][compared], scaled[1][compared] - scaled[0][compared]
     total = float(np.sum((values - values.mean()) ** 2))
-    varies = total > (FLAT * float(np.abs(values).max())) ** 2 * n
+    varies = total > (FLAT * float(np.abs(values).max())) ** 2 * (n - left)
     r2 = 1.0 - float(np.sum(error**2)) / total if varies else math.nan
     scale = scale_of_logarithms(measured[compared]) if logarithms else measured_scale(values)
-    return ChannelErrors(n, rmse, float(np.sqrt(np.mean(error**2))) / scale, mae, r2, logarithms)
+    return ChannelErrors(n, rmse, float(np.sqrt(np.mean(error**2))) / scale, mae, r2, logarithms, left)
 
 
 def said_of_logarithms(channels: Mapping[str, ChannelErrors], what: str) -> list[str]:

@@ -15,8 +15,10 @@ from gbspec.analysis.prediction import (
     mean_prediction,
     missed,
     predictions,
+    said_of_anew,
     said_of_defaults,
     said_of_groups,
+    said_of_not_positive,
     said_of_starts,
 )
 from gbspec.analysis.systems import extrapolation_of
@@ -160,11 +162,12 @@ class Validation(Tabled):
         lines = [*self._rows_ahead(), f"{FROM_STARTS}:"] if self.ahead else []
         if self.channels:
             wide = self._width
-            lines.append(f"{'channel':<{wide}}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
-            for name, e in self.channels.items():
-                lines.append(
-                    f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{share_text(e.r2):>10}"
-                )
+            shares, last = _right([share_text(e.r2) for e in self.channels.values()])
+            lines.append(f"{'channel':<{wide}}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>{last}}")
+            lines += [
+                f"{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{e.nrmse:>12.4g}{e.mae:>12.4g}{share}"
+                for (name, e), share in zip(self.channels.items(), shares, strict=True)
+            ]
         return "\n".join([*lines, *self._rest()])
 
     @property
@@ -175,12 +178,15 @@ class Validation(Tabled):
     def _rows_ahead(self) -> list[str]:
         """The table of errors by the number of rows that predictions are ahead."""
         wide = self._width
-        lines = [f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>10}"]
-        for steps, found in self.ahead.items():
-            lines += [
-                f"{steps:<12}{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{share_text(e.r2):>10}" for name, e in found.items()
-            ]
-        return lines
+        rows = [(steps, name, e) for steps, found in self.ahead.items() for name, e in found.items()]
+        shares, last = _right([share_text(e.r2) for _, _, e in rows])
+        return [
+            f"{'rows ahead':<12}{'channel':<{wide}}{'n':>7}{'rmse':>12}{'r2':>{last}}",
+            *(
+                f"{steps:<12}{name:<{wide}}{e.n:>7}{e.rmse:>12.4g}{share}"
+                for (steps, name, e), share in zip(rows, shares, strict=True)
+            ),
+        ]
 
     def _rest(self) -> list[str]:
         """The lines after the tables."""
@@ -243,7 +249,8 @@ def validate(
         if not run.model.diffusions:
             check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
-        warnings += said_of_defaults(run, trajectories.items)
+        warnings += [*said_of_defaults(run, trajectories.items), *said_of_anew(run, trajectories)]
+        warnings += _without_logarithm(run.model, present, predicted)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
         warnings += said_of_groups(members[0], run.model, trajectories.items, predicted)
@@ -259,6 +266,12 @@ def validate(
         compared = _against_truth(run.model, evaluators, trajectories, sampling, metrics, warnings, support)
     return Validation(member, channels, errors, check, compared, tuple(warnings), predicted, worst,
                       limits=kept)  # fmt: skip
+
+
+def _right(shares: Sequence[str]) -> tuple[list[str], int]:
+    """The texts of a last column, to its right, and its width: two blanks at least before each."""
+    wide = max([10, *(len(share) + 2 for share in shares)])
+    return [f"{share:>{wide}}" for share in shares], wide
 
 
 def _stacked(trajectories: Trajectories) -> Array:
@@ -280,12 +293,29 @@ def _on_data(
     errors = []
     for item, one in zip(trajectories.items, predictions, strict=True):
         values, found = on_fitted_scale(item.values, one.channels, log)
-        relative = ((found - values) / scales)[np.isfinite(values)]
+        relative = ((found - values) / scales)[np.isfinite(values) & np.isfinite(found)]
         nrmse = float(np.sqrt(np.mean(relative**2))) if relative.size and not one.failure else float("nan")
         far = {} if one.failure else extrapolated(known, model, item, one.states, one.start)
         counts = {name: int(rows.sum()) for name, rows in far.items() if rows.any()}
         errors.append(TrajectoryError(item.label, nrmse, one.start.origin, one.failure, counts))
     return channels, tuple(errors)
+
+
+def _without_logarithm(model: Model, trajectories: Trajectories, predictions: Sequence[Prediction]) -> list[str]:
+    """A warning of each channel with log-normal noise of which measured rows have predictions of zero or less."""
+    log, solved = logarithmic(model), []
+    effect = f"nrmse and R² of {FROM_STARTS}, " if model.diffusions else "nrmse, R² and the worst row "
+    for item, one in zip(trajectories.items, predictions, strict=True):
+        if not one.failure:
+            solved.append(np.where(item.values > 0, one.channels, np.nan))
+    stacked = np.concatenate(solved) if solved else np.zeros((0, len(log)))
+    return [
+        said
+        for j in np.flatnonzero(log)
+        for said in said_of_not_positive(
+            model, int(j), stacked[:, j], int(np.isfinite(stacked[:, j]).sum()), f"{effect}leave them out"
+        )
+    ]
 
 
 def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:

@@ -405,6 +405,7 @@ class _Runner:
             # Learned initial states are looked up by the content of a trajectory, in any table.
             "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
             "beginnings": beginnings(self.context.trajectories.items),
+            "ends": [item.end for item in self.context.trajectories.items],
             **more,
         }
         path = self.directory / files.WEIGHTS

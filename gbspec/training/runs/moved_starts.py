@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import Channel, Model, on_fitted_scale
+from gbspec.ir import LEAST_PREDICTED, Channel, Model, on_fitted_scale
 from gbspec.training.problem import Integers, Problem
 from gbspec.training.recipe import CLEAN
 
@@ -78,7 +78,7 @@ def _starts(problem: Problem, initial: Array, channel: int, state: int, deviatio
     values = packed.values[problem.valued[:, channel], channel]
     least = CLEAN * float(np.nanstd(on_fitted_scale(values, values, log)[0]))
     noise = np.maximum(np.where(np.isfinite(own), own, deviation / packed.weights[rows, channel]), least)
-    difference = np.subtract(*reversed(on_fitted_scale(measured, learned, log)))
+    difference = np.subtract(*reversed(on_fitted_scale(measured, learned, log, LEAST_PREDICTED)))
     known = np.isfinite(difference) & (noise > 0)
     if not known.any():
         return None

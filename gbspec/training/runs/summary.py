@@ -13,7 +13,7 @@ from scipy.special import fdtrc
 from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, present_values, said_of_ranges, states_beyond, variance_of
 from gbspec.files import finite
-from gbspec.ir import Model, on_fitted_scale
+from gbspec.ir import LEAST_PREDICTED, Model, on_fitted_scale
 from gbspec.runs import ChannelRecord, LikelihoodRecord, ObjectiveRecord, PopulationRecord, StageRecord
 from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
@@ -303,7 +303,9 @@ def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
     """1 minus the mean squared error of a channel's predictions over the variance of its data (or of logarithms)."""
     seen = problem.valued[:, channel]
     log = bool(problem.scaling.log[channel])
-    values, predictions = on_fitted_scale(problem.packed.values[seen, channel], mean[seen, channel], log)
+    values, predictions = on_fitted_scale(
+        problem.packed.values[seen, channel], mean[seen, channel], log, LEAST_PREDICTED
+    )
     variance = variance_of([values])
     if not variance > 0:
         return None

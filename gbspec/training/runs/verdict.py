@@ -12,7 +12,16 @@ from sympy.core.function import AppliedUndef
 from gbspec.diagnostics import Findings
 from gbspec.ir import Channel, Model
 from gbspec.passes import by_one_trajectory, examine
-from gbspec.runs import EXACT, ChannelRecord, LikelihoodRecord, SearchRecord, autocorrelated, how_followed
+from gbspec.runs import (
+    COLOURED,
+    EXACT,
+    ChannelRecord,
+    LikelihoodRecord,
+    SearchRecord,
+    autocorrelated,
+    how_followed,
+    not_independent,
+)
 from gbspec.training.problem import share_that_counts
 from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
 from gbspec.training.runs.naming import labelled
@@ -34,10 +43,6 @@ BY_CHANCE = 1e-3
 OF_MEDIAN = 0.37
 """The efficiency of the median absolute residual, by which the noise of fits from row to row is estimated: it has the
 variance of a standard deviation of so many of the values (Rousseeuw and Croux, 1993)."""
-
-COLOURED = 1e-3
-"""Innovations are no independent numbers where the statistic of Ljung and Box, corrected for changing variances, has a
-smaller probability."""
 
 SEVERAL = 3
 """A minimum that a search found so many times is the best that it can find."""
@@ -286,11 +291,9 @@ def innovations(
     channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord, model: Model | None = None
 ) -> list[str]:
     """Warnings of a fit with disturbances: innovations that are not independent, and noises that ended at zero."""
-    out, following = [], autocorrelated(channels)
-    tested = {name: one.p if one.robust_p is None else one.robust_p for name, one in likelihood.whiteness.items()}
-    coloured = [name for name, p in tested.items() if name in following or (p is not None and p < COLOURED)]
+    out, coloured = [], not_independent(channels, likelihood)
     if coloured:
-        listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, tested.get(name))})" for name in coloured)
+        listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, p)})" for name, p in coloured.items())
         out.append(
             f"the innovations of {listed} are not independent: what disturbs the system lasts longer than the time "
             "between two measurements, or the model lacks something. Intervals are too narrow then, and predictions "
