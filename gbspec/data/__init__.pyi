@@ -1,5 +1,6 @@
 from .absence import absent_channels as absent_channels
 from .absence import absent_states as absent_states
+from .absence import present_item as present_item
 from .absence import present_values as present_values
 from .cases import FILE as FILE
 from .cases import Case as Case

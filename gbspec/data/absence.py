@@ -52,11 +52,41 @@ def absent_channels(model: Model, absent: Mask) -> Mask:
 def present_values(model: Model, trajectories: Trajectories, absent: Mask | None = None) -> Trajectories:
     """The trajectories without the values of states that are `absent` (None: those of `absent_states`)."""
     hidden = absent_channels(model, absent_states(model, trajectories.items) if absent is None else absent)
-    items = tuple(
-        replace(item, values=np.where(columns, np.nan, item.values)) if columns.any() else item
-        for item, columns in zip(trajectories.items, hidden, strict=True)
-    )
+    items = tuple(_without(item, columns) for item, columns in zip(trajectories.items, hidden, strict=True))
     return replace(trajectories, items=items)
+
+
+def present_item(model: Model, item: Trajectory) -> Trajectory:
+    """A trajectory without the values of states that are absent from it."""
+    (columns,) = absent_channels(model, absent_states(model, [item]))
+    return _without(item, columns)
+
+
+def _without(item: Trajectory, channels: Mask) -> Trajectory:
+    """A trajectory without the values of some channels [C]."""
+    return replace(item, values=np.where(channels, np.nan, item.values)) if channels.any() else item
+
+
+def why_present(model: Model, item: Trajectory, channel: int) -> str:
+    """Why the zeros of a channel, which has no other values in a trajectory, are none of an absent state."""
+    state, name = model.channels[channel].state, model.channels[channel].name
+    if state is None:
+        return f"`{name}` is an expression and no state"
+    name = model.states[state].name
+    if model.diffusions or model.delays:
+        return f"none is taken to be so in a model with {'disturbances' if model.diffusions else 'delays'}"
+    if model.states[state].initial.kind != "measured":
+        return (
+            f"the start of `{name}` is {'learned' if not model.states[state].initial.known else 'given'} in the model"
+        )
+    if not _zero(item, channel):
+        return f"`{name}` is not measured at the start of trajectory `{item.label}`"
+    if _changed(model, item, state):
+        return f"a dose or an event changes `{name}`"
+    others = [j for j, one in enumerate(model.channels) if one.state == state]
+    if not all(_zero(item, j) for j in others):
+        return f"another channel of `{name}` has other values in trajectory `{item.label}`"
+    return f"the balance of `{name}` is not 0 where `{name}` is 0, so that it would not stay absent"
 
 
 def _zero(item: Trajectory, channel: int) -> bool:

@@ -13,6 +13,7 @@ from gbspec.data.cells import OTHER_UNIT, SMALLEST
 from gbspec.data.columns import Quantity
 from gbspec.data.gaps import check_gaps
 from gbspec.data.plausibility import check_plausibility, check_times, interval
+from gbspec.data.positive import check_positive
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
@@ -29,7 +30,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
     for quantity, cells in table.series.items():
         check_plausibility(table, model, quantity, cells, findings)
         if quantity.positive:
-            _positive(table, quantity, cells, findings)
+            check_positive(table, quantity, cells, findings)
         if quantity.counts:
             _whole(table, quantity, cells, findings)
         if quantity.role == "channel":
@@ -87,20 +88,6 @@ def _after_start(table: Records, start: float, findings: Findings) -> None:
             f"row {row} lies before the start: time {table.time[i]:g}, and the model starts at {start:g}",
             Cell(table.path, row, table.time_column),
             help="change `from` in the model's `time` statement, or remove the row",
-            notes=notes,
-        )
-
-
-def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
-    bad = np.flatnonzero(cells.value <= 0)
-    for i, notes in shown(bad, "cells"):
-        row = int(cells.row[i])
-        findings.error(
-            "GB724",
-            f"`{quantity.column}` is {cells.value[i]:g} in row {row}, and lognormal noise needs values above zero",
-            Cell(table.path, row, quantity.column),
-            help="where nothing was detected, write `<` and the limit of detection (`<0.05`: a censored value), and "
-            "leave the cell empty where nothing was measured; `noise normal(…)` accepts zeros",
             notes=notes,
         )
 

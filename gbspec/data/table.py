@@ -20,6 +20,7 @@ from gbspec.data.formats import Format
 from gbspec.data.keeping import content_digest
 from gbspec.data.memory import Frame, sheet_of
 from gbspec.data.nonmem import is_nonmem, nonmem_records
+from gbspec.data.positive import check_zeros
 from gbspec.data.records import Records, records
 from gbspec.data.regimens import Given, regimens, with_infusions
 from gbspec.data.sheet import Sheet, read_sheet
@@ -70,6 +71,8 @@ def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channel
     findings.raise_if_failed()
     conditions, known = _conditions(table, model)
     items = _cut(table, model, require_channels, conditions, known, regimens(table, model, conditions, findings))
+    check_zeros(table, model, items, findings)
+    findings.raise_if_failed()
     channels = tuple(channel.name for channel in model.channels)
     return Trajectories(items, channels, *source, kind, form_of(model))
 
@@ -175,15 +178,16 @@ def _measurements(table: Records, logs: Mask) -> tuple[Array, Array, Array, Arra
 def _averages(key: NDArray[np.int64], value: Array, sd: Array, size: int, logs: bool) -> tuple[Array, Array, Array]:
     """The averages of the values [m] of each key [size], their standard deviations, and the sums of squared deviations
     from them; of logarithms all three in the unit of the values, in which small deviations are those of logarithms
-    times the average."""
-    fitted = np.log(value) if logs else value
+    times the average. Zeros of a state that is absent have no logarithm, and are averaged as they are."""
+    size_of = np.where(value > 0, value, 1.0) if logs else np.ones(len(value))
+    fitted = np.log(size_of) if logs else value
     with np.errstate(invalid="ignore"):  # keys without a value
         count = np.bincount(key, minlength=size)
         mean = np.bincount(key, weights=fitted, minlength=size) / count
-        variance = np.bincount(key, weights=(sd / value if logs else sd) ** 2, minlength=size)
+        variance = np.bincount(key, weights=(sd / size_of) ** 2, minlength=size)
         off = np.bincount(key, weights=(fitted - mean[key]) ** 2, minlength=size)
-        average = np.exp(mean) if logs else mean
-        unit = average if logs else np.ones(size)
+        unit = np.exp(mean) if logs else np.ones(size)
+        average = np.where(np.bincount(key, weights=value, minlength=size) > 0, unit, 0.0) if logs else mean
         return average, unit * np.sqrt(variance) / count, unit**2 * off
 
 

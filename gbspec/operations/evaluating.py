@@ -216,6 +216,7 @@ def _evaluated(
     noise: Mapping[str, float],
     population: Mapping[str, float],
 ) -> Evaluation:
+    from gbspec.data import present_values
     from gbspec.training import Given, check_limits, evaluate, evaluate_integral, parameters_of
 
     check_limits(model, data)
@@ -224,7 +225,11 @@ def _evaluated(
         model = _with_declared_noise(model)
         _with_noise(model, data, noise)
     solved = evaluate_integral if model.distributed or model.diffusions else evaluate
-    found = solved(model, data, Given(np.asarray(constants, dtype=np.float64), starts, weights, noise, known))
+    found = solved(
+        model,
+        present_values(model, data),
+        Given(np.asarray(constants, dtype=np.float64), starts, weights, noise, known),
+    )
     findings = Findings()
     if found.accuracy > ASKED:
         message = f"the likelihood is known to {found.accuracy:.2g} of its size only, by the error of the integration"

@@ -21,7 +21,7 @@ from gbspec.analysis import (
 from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module, network_arguments
-from gbspec.data import Trajectories, Trajectory, evaluate
+from gbspec.data import Trajectories, Trajectory, evaluate, present_values
 from gbspec.ir import Channel, Condition, Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
@@ -216,8 +216,9 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     scales = fitted.scales
     times = np.concatenate([item.times for item in data.items])
     predicted = np.concatenate([fitted.solutions(k, item.times)[1].mean(axis=0) for k, item in enumerate(data.items)])
+    present = present_values(model, data).items
     measured, factor = (
-        np.concatenate(each) for each in zip(*((item.values, scales.factor(item)) for item in data.items), strict=True)
+        np.concatenate(each) for each in zip(*((item.values, scales.factor(item)) for item in present), strict=True)
     )
     found = residuals_of(predicted, measured, factor, scales.log)
     shown = []

@@ -144,9 +144,12 @@ def crossvalidate(
     Raises UserError (GB814; GB820 if the directory belongs to something else; GB821 if the data cannot be divided), and
     ComputationError if no fold could be fitted.
     """
+    from gbspec.data import absent_channels, absent_states
+
     options.check()
     over = way(data, options.over)
-    parts = folds(data, over, options.folds, training.seed)
+    absent = absent_channels(model, absent_states(model, data.items))
+    parts = folds(data, over, options.folds, training.seed, absent)
     with locked(directory):
         clear(directory)
         _begin(directory, model, data, training, options)

@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.data import Trajectories, Trajectory
+from gbspec.arrays import Mask
+from gbspec.data import Limits, Trajectories, Trajectory
 from gbspec.diagnostics import Diagnostic, UserError
 
 Over = Literal["trajectories", "time"]
@@ -31,7 +32,7 @@ class Fold:
     over: Over
     kept: Trajectories
     whole: Trajectories
-    held: tuple[np.ndarray[tuple[int], np.dtype[np.bool_]], ...]
+    held: tuple[Mask, ...]
 
 
 def way(data: Trajectories, over: Over | None) -> Over:
@@ -39,12 +40,14 @@ def way(data: Trajectories, over: Over | None) -> Over:
     return over or ("trajectories" if len(data) > 1 else "time")
 
 
-def folds(data: Trajectories, over: Over, count: int | None, seed: int) -> tuple[Fold, ...]:
+def folds(data: Trajectories, over: Over, count: int | None, seed: int, absent: Mask | None = None) -> tuple[Fold, ...]:
     """The folds: trajectories assigned at random, or blocks of successive rows of each trajectory.
+
+    `absent` [N, C]: channels of states that are absent from a trajectory, which is known in every fold.
 
     Raises UserError (GB821) if the data cannot be divided in this way.
     """
-    made = _by_trajectory(data, count, seed) if over == "trajectories" else _by_time(data, count)
+    made = _by_trajectory(data, count, seed) if over == "trajectories" else _by_time(data, count, absent)
     return tuple(made)
 
 
@@ -61,27 +64,46 @@ def _by_trajectory(data: Trajectories, count: int | None, seed: int) -> Iterator
         yield Fold(number, "trajectories", data.subset(kept), whole, held)
 
 
-def _by_time(data: Trajectories, count: int | None) -> Iterator[Fold]:
+def _by_time(data: Trajectories, count: int | None, absent: Mask | None) -> Iterator[Fold]:
     count = count or FOLDS
     least = min(len(item.times) for item in data.items)
     if count < 2 or least < 2 * count:
         raise _cannot(f"a trajectory of {least} rows cannot be divided into {count} blocks", "use fewer `--folds`")
     for number in range(count):
         held = tuple(_stretch(len(item.times), number, count) for item in data.items)
-        kept = tuple(_without(item, rows) for item, rows in zip(data.items, held, strict=True))
+        known = np.zeros((len(data), len(data.channels)), dtype=np.bool_) if absent is None else absent
+        kept = tuple(_without(item, rows, zero) for item, rows, zero in zip(data.items, held, known, strict=True))
         yield Fold(number, "time", replace(data, items=kept, path="", sha256="", rows=0), data, held)
 
 
-def _stretch(rows: int, number: int, count: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _stretch(rows: int, number: int, count: int) -> Mask:
     """A mask of the rows of block `number`: successive rows; the sizes of the blocks differ by at most one."""
     edges = np.linspace(0, rows, count + 1).round()
     index = np.arange(rows)
     return np.asarray((index >= edges[number]) & (index < edges[number + 1]), dtype=np.bool_)
 
 
-def _without(item: Trajectory, held: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Trajectory:
-    """The trajectory without these rows; its initial time is kept, so that its first block can be predicted."""
-    return item.at_rows(~held)
+def _without(item: Trajectory, held: Mask, absent: Mask) -> Trajectory:
+    """The trajectory without these rows [R]; its initial time is kept, so that its first block can be predicted, and
+    the zeros there of `absent` channels [C], without which their states would not be absent."""
+    if not (held[0] and absent.any()):
+        return item.at_rows(~held)
+    rows = ~held
+    rows[0] = True
+    left = item.at_rows(rows)
+    hidden = np.zeros(left.values.shape, dtype=np.bool_)
+    hidden[0] = ~absent
+    limits = left.limits
+    if limits is not None:
+        limits = Limits(np.where(hidden, np.nan, limits.value), np.where(hidden, np.int8(0), limits.side))
+    return replace(
+        left,
+        values=np.where(hidden, np.nan, left.values),
+        counts=np.where(hidden, 0.0, left.counts),
+        sd=np.where(hidden, np.nan, left.sd),
+        limits=limits,
+        scatter=None if left.scatter is None else np.where(hidden, 0.0, left.scatter),
+    )
 
 
 def _cannot(message: str, help: str) -> UserError:

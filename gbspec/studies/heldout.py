@@ -100,15 +100,17 @@ def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
 def _stretches(run: Run, fold: Fold) -> list[Point]:
     from gbspec.analysis import learned_start, predict
     from gbspec.backends import Evaluator
+    from gbspec.data import present_values
 
     evaluators = [Evaluator(member) for member in run.members]
     points = []
+    present = present_values(run.model, fold.whole).items
     for position, (item, rows) in enumerate(zip(fold.whole.items, fold.held, strict=True)):
         each = [predict(one, run.model, item, learned_start(one, position, item)).channels for one in evaluators]
         mean = np.mean(each, axis=0)
         between = np.var(each, axis=0, ddof=1) if len(each) > 1 else np.zeros_like(mean)
         sd = np.sqrt(between + noise_at(run, mean) ** 2)
-        found = (item.label, item.times, fold.whole.channels, item.values, mean, sd)
+        found = (item.label, item.times, fold.whole.channels, present[position].values, mean, sd)
         points += _points(*found, rows, run.model)
     return points
 

@@ -76,6 +76,28 @@ def test_a_problem_has_the_likelihood_of_its_closed_form(tmp_path: Path) -> None
     assert len(result.found.simulation) == 3, "replicates count each"
 
 
+def test_names_with_numbers_are_none_that_the_problem_has(tmp_path: Path) -> None:
+    """Replicates of `low` and channels of `o` beside a condition `low_2` and an observable `o_2`."""
+    values = {}
+    for second, other in (("low_2", "o_2"), ("high", "other")):
+        folder = tmp_path / second
+        folder.mkdir()
+        path = problem(
+            folder,
+            conditions=RATES.replace("high", second),
+            measurements=TABLES["measurements"].replace("high", second) + f"{other}\tlow\t2\t0.4\t\n",
+            observables=TABLES["observables"] + f"{other}\t2*y\tlin\tsigma\n",
+        )
+        found = import_file(path, folder / "out")
+        assert found.data is not None
+        text, lines = Path(found.model).read_text(), Path(found.data).read_text().splitlines()
+        values[second] = gbspec.evaluate(found.model, found.data).nllh
+        labels = {line.split(",")[0] for line in lines}
+        if second == "low_2":
+            assert "observe o_3 = " in text and labels == {"trajectory", "low", "low_3", "low_2"}
+    assert values["low_2"] == pytest.approx(values["high"], rel=1e-12)
+
+
 def test_numbers_of_conditions_are_columns(tmp_path: Path) -> None:
     path = problem(tmp_path, conditions="conditionId\tk\nlow\t0.4\nhigh\t1.5\n")
     found = import_file(path, tmp_path / "out")

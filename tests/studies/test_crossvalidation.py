@@ -77,6 +77,18 @@ def test_limits_and_scatter_stay_with_their_rows() -> None:
         assert kept.scatter is not None and np.array_equal(kept.scatter[:, 0], rows)
 
 
+def test_what_is_absent_is_known_where_the_first_rows_are_held_out() -> None:
+    (item,) = data(1, 10).items
+    values = np.column_stack([item.values[:, 0], np.zeros(10)])
+    both = replace(item, start=1.0, values=values, counts=np.ones_like(values), sd=np.full(values.shape, np.nan))
+    whole = Trajectories((both,), ("N", "M"))
+    first, second, *_ = folds(whole, "time", 5, 0, np.array([[False, True]]))
+    kept = first.kept.items[0]
+    assert kept.times.tolist() == [1.0, *range(3, 11)] and kept.counts[0].tolist() == [0.0, 1.0]
+    assert np.array_equal(kept.values[0], [np.nan, 0.0], equal_nan=True)
+    assert len(second.kept.items[0].times) == 8
+
+
 @pytest.mark.parametrize(
     ("trajectories", "rows", "over", "count"), [(3, 5, "trajectories", 4), (1, 5, "time", 3), (1, 9, "trajectories", 2)]
 )

@@ -9,9 +9,9 @@ import pytest
 
 from gbspec.analysis import forecast, validate
 from gbspec.data import Trajectories, absent_states
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import Model
-from gbspec.operations import tables
+from gbspec.operations import evaluating, tables
 from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
 from gbspec.training.problem import limited
@@ -142,6 +142,68 @@ def test_zeros_of_absence_do_not_count(tmp_path: Path) -> None:
     assert (starts[0, 1], starts[1, 0]) == (0.0, 0.0)
     assert starts[2].min() > 0.1
     assert fit.constants["r"].value == pytest.approx(0.8, abs=3 * fit.constants["r"].sd)
+
+
+def test_under_log_normal_noise_absence_is_written_as_zeros_too(tmp_path: Path) -> None:
+    text = TWO.replace("observe x\nobserve y", "observe x noise lognormal(0.2)\nobserve y noise lognormal(0.2)")
+    model, path = cultures(tmp_path, text)
+    data = tables.read_data(path, model, Findings())
+    run = train(model, data, TrainOptions(effort="low"), tmp_path / "run")
+    assert {name: one.values for name, one in run.fit.members[0].channels.items()} == {"x": 24, "y": 24}
+    starts = run.member().weights["initial"]
+    assert (starts[0, 1], starts[1, 0]) == (0.0, 0.0)
+    assert run.fit.constants["r"].value == pytest.approx(0.8, rel=0.3)
+    assert {name: one.n for name, one in validate(run, data).channels.items()} == {"x": 24, "y": 24}
+    assert len(evaluating.of_run(run, data).to_frame()) == 48
+    path.write_text("trajectory,t,x,y\n" + "\n".join(f"new,{t},{0.7 + 0.1 * t},0" for t in range(8)) + "\n")
+    for window in (None, 4):
+        (item,) = forecast(run, tables.read_data(path, model, Findings()), window=window).items
+        assert not item.mean[:, 1].any() and not item.sd[:, 1].any() and np.isfinite(item.sd[:, 0]).all()
+        assert 1 < item.mean[-1, 0] < 10
+
+
+def test_replicates_of_absence_have_no_logarithms(tmp_path: Path) -> None:
+    model = model_of(TWO.replace("observe y", "observe y noise lognormal(0.2)"), tmp_path)
+    path = tmp_path / "long.csv"
+    lines = ["trajectory,t,name,value,sd"]
+    lines += [f"a,{t},{name},{value},0.1" for t in range(3) for name, value in (("x", 2), ("x", 8), ("y", 0), ("y", 0))]
+    path.write_text("\n".join([*lines, "b,0,x,1,0.1", "b,0,y,2,0.1", "b,0,y,8,0.1"]) + "\n")
+    first, second = tables.read_data(path, model, Findings()).items
+    assert first.values[0].tolist() == [5.0, 0.0] and second.values[0, 1] == pytest.approx(4.0)
+    assert first.scatter is not None and first.scatter[:, 1].tolist() == [0.0, 0.0, 0.0]
+    assert first.sd[:, 1] == pytest.approx([0.1 * np.sqrt(2) / 2] * 3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("y' = s*y", "y' = 0.01*x + s*y", "the balance of `y` is not 0 where `y` is 0"),
+        ("observe x", "initial y = 0\nobserve x", "the start of `y` is given in the model"),
+        ("observe x", "initial y learn\nobserve x", "the start of `y` is learned in the model"),
+        ("observe x", "event inoculation when x > 5: y = 1\nobserve x", "a dose or an event changes `y`"),
+        ("observe x", "diffusion y = 0.1\nobserve x", "none is taken to be so in a model with disturbances"),
+        ("observe y", "observe z = 2*y", "`z` is an expression and no state"),
+    ],
+)
+def test_other_zeros_have_no_logarithm(old: str, new: str, reason: str, tmp_path: Path) -> None:
+    text = TWO.replace(old, new).replace("observe y", "observe y noise lognormal(0.2)")
+    model, path = cultures(tmp_path, text.replace("2*y", "2*y noise lognormal(0.2)"))
+    path.write_text(path.read_text().replace("x,y", f"x,{model.channels[1].name}"))
+    with pytest.raises(UserError) as caught:
+        tables.read_data(path, model, Findings())
+    found = caught.value.diagnostics
+    assert {d.code for d in found} == {"GB724"} and found[0].place.row == 2
+    assert reason in found[0].help
+
+
+def test_a_zero_among_other_values_has_no_logarithm(tmp_path: Path) -> None:
+    model = model_of(TWO.replace("observe y", "observe y noise lognormal(0.2)"), tmp_path)
+    path = tmp_path / "zero.csv"
+    for values, said in (((0, 3), "a state that is absent"), ((0, -3), "negative values")):
+        path.write_text("t,x,y\n0,1,1\n" + "\n".join(f"{t},1,{y}" for t, y in enumerate(values, 1)) + "\n")
+        with pytest.raises(UserError) as caught:
+            tables.read_data(path, model, Findings())
+        assert said in caught.value.diagnostics[0].help
 
 
 def test_residuals_of_two_kinds_count_in_full() -> None:

@@ -30,7 +30,7 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
-from gbspec.data import absent_states, recognised, scales_of, sobol, spread_over_ranges
+from gbspec.data import absent_states, present_item, recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
 from gbspec.runs import spread_of_next
 
@@ -216,7 +216,7 @@ class Estimator:
         constants = np.array(self.evaluator.constants, dtype=float)
         if not free and not self.own:
             return started(self.evaluator, item, state, constants, "known")
-        return self._estimate(item, state, constants, free)
+        return self._estimate(present_item(self.model, item), state, constants, free)
 
     def start_sd(self, item: Trajectory) -> Array:
         """The prior standard deviation [n] of each initial value; smaller if a recognition network gives it. Where a

@@ -144,7 +144,10 @@ class MemberPredictions:
         """
         from scipy.linalg import block_diag
 
+        from gbspec.data import present_item  # with sympy, which not every command needs
+
         free, variables = [*estimator.free(seen)], near.variables
+        seen = present_item(self.model, seen)
         own = list(estimator.own if individuals is None else individuals.place)
         if not free and not own:
             return np.zeros_like(variables), unchanged

@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 
 from gbspec.backends import NotCoveredError
-from gbspec.data import Trajectories, Trajectory
+from gbspec.data import Trajectories, Trajectory, present_values
 from gbspec.exports.petab.courses import Course, Lines
 from gbspec.exports.sbml import Document
 from gbspec.ir import NOISES, PREDICTION, Channel, Expr, Learnable
@@ -68,7 +68,8 @@ class Observed:
     """The tables of observables and measurements."""
 
     def __init__(self, document: Document, data: Trajectories, lines: Mapping[str, Lines]) -> None:
-        self._document, self._model, self._data = document, document.source, data
+        self._document, self._model = document, document.source
+        self._data = present_values(self._model, data)
 
     def observables(self) -> bytes:
         """A row for each channel; a noise of the table is a placeholder."""

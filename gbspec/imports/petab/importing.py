@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
@@ -87,6 +88,13 @@ def _check_noise(made: Description, report: Report) -> None:
             report.refuse(f"observable {channel.id}", 0, f"a noise that depends on `{name}` is not offered yet")
 
 
+def _numbered(name: str, number_of: int, taken: Callable[[str], bool]) -> str:
+    """A name with a number, the first from `number_of` on with which it is not taken."""
+    while taken(label := f"{name}_{number_of}"):
+        number_of += 1
+    return label
+
+
 @dataclass
 class _Problem:
     path: Path
@@ -102,8 +110,14 @@ class _Problem:
     """The name of the number of the condition."""
 
     def __post_init__(self) -> None:
-        while self.model.getElementBySId(self.experiment) is not None:
+        while self._named(self.experiment):
             self.experiment += "_"
+
+    def _named(self, name: str) -> bool:
+        """Whether the problem has something of this name."""
+        tables = (self.tables.observables, "observableId"), (self.tables.parameters, "parameterId")
+        known = any(row.get(column, "") == name for rows, column in tables for row in rows)
+        return known or self.model.getElementBySId(name) is not None
 
     def change(self) -> Change:
         """What the problem says of its model."""
@@ -255,13 +269,20 @@ class _Problem:
         except NotOfferedError as problem:
             self._refuse(f"observable {name}", observable, str(problem))
             return
-        number_of = sum(one[0] == name for one in self.channels)
-        label = f"{name}_{number_of + 1}" if number_of else name
+        label = self._label(name, sum(one[0] == name for one in self.channels))
         # In the noise of a channel its own name is the prediction.
         own = {name + _PREDICTION: named(label)}
         own |= {value.name: named(label)} if value.head == "name" else {}
         noise = self._noise(observable, replaced(sd, own))
         self.channels[key] = Channel(label, value, label, noise)
+
+    def _label(self, name: str, before: int) -> str:
+        """The channel of an observable that has channels `before`: its own name first, then one that nothing else in
+        the problem has."""
+        if not before:
+            return name
+        channels = {one.id for one in self.channels.values()}
+        return _numbered(name, before + 1, lambda label: label in channels or self._named(label))
 
     def _noise(self, row: Row, sd: Formula) -> tuple[str, Formula] | None:
         name = f"observable {row.get('observableId', '')}"
@@ -320,8 +341,10 @@ class _Problem:
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(["trajectory", "t", *measured, *conditions])
+        taken = {condition for condition, _ in cells}
         for (condition, replicate), rows in cells.items():
-            label = condition if not replicate else f"{condition}_{replicate + 1}"
+            label = condition if not replicate else _numbered(condition, replicate + 1, taken.__contains__)
+            taken.add(label)
             own = [self.values[condition].get(name, "") for name in conditions]
             for time in sorted(rows):
                 writer.writerow([label, spelled_number(time), *(rows[time].get(c, "") for c in measured), *own])

@@ -32,26 +32,36 @@ def _torch_arithmetic() -> Any:
     def unary(function: Any) -> Any:
         return lambda a: function(a if isinstance(a, Tensor) else tensor(a))
 
+    def alike(a: Any, b: Any) -> tuple[Any, Any]:
+        """Both as tensors; a number beside a tensor has its type, which it would widen where that is a scalar."""
+        if isinstance(a, Tensor):
+            return a, b if isinstance(b, Tensor) else a.new_tensor(b)
+        return (b.new_tensor(a), b) if isinstance(b, Tensor) else (tensor(a), tensor(b))
+
     def binary(function: Any) -> Any:
-        return lambda a, b: function(tensor(a), tensor(b))
+        return lambda a, b: function(*alike(a, b))
 
     def where(condition: Any, a: Any, b: Any) -> Any:
         condition = condition if isinstance(condition, Tensor) else torch.as_tensor(condition)
-        return torch.where(condition, tensor(a), tensor(b))
+        return torch.where(condition, *alike(a, b))
 
     def guard(condition: Any, x: Any) -> Any:
         x = tensor(x)
         return where(condition, x, x.detach()) if x.requires_grad else x
+
+    def typed(like: Any, x: Any) -> Any:
+        """`x` in the type of `like`: what was chosen among numbers, in their full precision, is wider than float32."""
+        return x if x.dtype == like.dtype else x.to(like.dtype)
 
     def pack(like: Any, parts: Any) -> Any:
         shape = like.shape[:-1]
         if not parts:
             return like.new_zeros((*shape, 0))
         if all(isinstance(part, Tensor) and part.shape == shape for part in parts):
-            return torch.stack(parts, -1)
+            return typed(like, torch.stack(parts, -1))
         whole = [part if isinstance(part, Tensor) else like.new_tensor(part) for part in parts]
         shape = np.broadcast_shapes(shape, *(part.shape for part in whole))
-        return torch.stack([part.expand(shape) for part in whole], -1)
+        return typed(like, torch.stack([part.expand(shape) for part in whole], -1))
 
     def column(x: Any) -> Any:
         return x.unsqueeze(-1) if isinstance(x, Tensor) and x.ndim else x
@@ -60,7 +70,7 @@ def _torch_arithmetic() -> Any:
         whole = [part if isinstance(part, Tensor) else like.new_tensor(part) for part in parts]
         whole = [part if part.ndim else part[None] for part in whole]
         shape = np.broadcast_shapes(like.shape[:-1], *(part.shape[:-1] for part in whole))
-        return torch.cat([part.expand(*shape, part.shape[-1]) for part in whole], -1)
+        return typed(like, torch.cat([part.expand(*shape, part.shape[-1]) for part in whole], -1))
 
     def repeat(like: Any, x: Any, count: int) -> Any:
         x = column(x) if isinstance(x, Tensor) else like.new_tensor(x)

@@ -302,7 +302,9 @@ class Template:  # {{class}}
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
         # [events
         cut: Any = self.equations
-        events = cut.cutting((condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]), True)
+        # Times of float32 that are equal up to rounding are one, or a periodic event would happen twice.
+        band = max(1e-11 * (grid[-1] - grid[0]), torch.finfo(x.dtype).eps * max(abs(grid[0]), abs(grid[-1])))
+        events = cut.cutting((condition, k, f), (condition, k, f), band, True)
         # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
@@ -349,7 +351,7 @@ class Template:  # {{class}}
         if count == 1 and values[0].ndim and values[0].shape[-1] == 1:
             values = [values[0][..., 0]]
         k, f = self._parameters(values[0], constants)
-        return method(_torch_arithmetic(), k, f, *values)[output]
+        return _tensor(method(_torch_arithmetic(), k, f, *values)[output], values[0])
 
     def _arguments(self, x: Any, condition: Any, inputs: Any, need_inputs: bool = True) -> tuple[Any, Any, Any]:
         """State, condition and inputs as tensors of the right length and of the state's type."""

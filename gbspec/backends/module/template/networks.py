@@ -138,7 +138,7 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
         if not any(isinstance(a, torch.Tensor) for a in arguments):  # one point, such as that of a `zero` contract
             point = torch.stack([center.new_tensor(float(a)) for a in arguments])
             return point if tape is None else point.expand(*shape[0], len(arguments))
-        stacked = _stack(m.pack, arguments)
+        stacked = _torch_like(_stack(m.pack, arguments), center)
         shape[0] = stacked.shape[:1] if stacked.ndim > 1 else ()  # with a tape there is one batch axis
         return stacked
 
