@@ -106,6 +106,7 @@ from .residual import logarithmic as logarithmic
 from .residual import on_fitted_scale as on_fitted_scale
 from .residual import residuals as residuals
 from .residual import slopes as slopes
+from .schedule import delayed_inputs as delayed_inputs
 from .schedule import insets as insets
 from .schedule import may_jump as may_jump
 from .schedule import scheduled as scheduled

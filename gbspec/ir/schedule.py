@@ -31,6 +31,13 @@ def may_jump(model: Model) -> bool:
     return bool(model.events) or any(dose.lag.free_symbols for dose in model.doses)
 
 
+def delayed_inputs(model: Model) -> tuple[int, ...]:
+    """The indices of the inputs that are delayed, or of which something delayed is computed: when they change, what
+    sees them does so a delay later."""
+    found = {s for value in model.inlined(delay.value for delay in model.delays) for s in value.free_symbols}
+    return tuple(i for i, one in enumerate(model.inputs) if one.symbol in found)
+
+
 def scheduled(model: Model) -> Quantities:
     """What decides when right sides, and what they see of the past, jump, as far as it depends on the time, constants
     and conditions alone, the inner ones first: arguments of `floor` (True), and differences that are compared

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from gbspec.backends import Evaluator, load_module
-from gbspec.data.trajectories import DoseEvents, Signal
+from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.training.engines.choice import torch_engine
 from tests.delays.models import EVERYTHING, MACKEY_GLASS, everything_data, mackey_glass
-from tests.training.conftest import model_of, problem_of
+from tests.training.conftest import model_of, problem_of, trajectory
 
 
 def test_the_evaluator_agrees_with_a_method_of_steps() -> None:
@@ -76,3 +77,60 @@ def test_every_output_costs_about_one_step() -> None:
     evaluator.integrate([0.5], np.linspace(0.0, 100.0, 201), rtol=1e-8, atol=1e-8)
     # A step and its dense output take 15 rates, what checks the first one of 206 stretches another.
     assert len(rates) < 1.3 * 16 * 206
+
+
+ARRIVING = """model m
+time t from 0
+input u held
+input v linear
+condition c in [0.5, 4]
+state y in [0, 5]
+learn a = 0.6 in [0.05, 3]
+learn tau = 1.37 in [0.5, 4]
+y' = a*delay(u, tau) - 0.4*delay(y, c)*y + 0.2*delay(v, tau)
+history y = 0.8
+initial y = 1
+observe y
+"""
+CHANGED = np.array([0.0, 1.0, 2.0, 3.5, 6.0])
+HELD, LINEAR = np.array([1.6, 0.2, 1.9, 0.5, 1.2]), np.array([0.0, 1.0, 0.5, 0.5, 2.0])
+
+
+def given(times: np.ndarray) -> np.ndarray:
+    """The inputs [T, 2] at times that hold those of the changes."""
+    held = HELD[np.searchsorted(CHANGED, times, side="right") - 1]
+    return np.stack([held, np.interp(times, CHANGED, LINEAR)], 1)
+
+
+def test_steps_of_the_module_begin_where_changes_of_inputs_arrive() -> None:
+    """At known and learned delays, several in one batch, as those of a fit do."""
+    times, delays = np.array(sorted({*CHANGED, *np.arange(0.5, 10, 0.7)})), (0.93, 2.2)
+    signals = tuple(Signal(CHANGED, values) for values in (HELD, LINEAR))
+    rows = [trajectory(str(c), 0.0, times, np.ones((len(times), 1)), [c], inputs=signals) for c in delays]
+    problem, parameters, _ = problem_of(model_of(ARRIVING), Trajectories(tuple(rows), ("y",)), 0.25, blend=0.0)
+    engine, theta = torch_engine(problem, parameters), parameters.vector({}, np.array([0.6, 1.37]))
+    mean, owner = engine.moments(theta, engine.plan(theta)).mean[:, 0], problem.packed.row_trajectory
+    module, start = type(problem.module)(), torch.ones(2, 1, dtype=torch.float64)
+    condition, inputs = torch.tensor(delays)[:, None].double(), given(times)
+    found = module.simulate(start, times, condition, inputs, max_step=0.25)[..., 0]
+    for i, row in enumerate(found):
+        np.testing.assert_allclose(row, mean[owner == i], atol=5e-6)
+    for one, row, c in zip(start, found, condition, strict=True):
+        alone = module.simulate(one, times, c, inputs, max_step=0.25)[..., 0]
+        np.testing.assert_allclose(alone, row, atol=1e-14)
+    fine = Evaluator(module).integrate([1.0], times, [delays[0]], signals, 0.0)[:, 0]
+    assert np.abs(found[0].numpy() - fine).max() < 2e-5
+
+
+def test_the_derivative_of_the_module_by_a_delay_knows_that_arrivals_move() -> None:
+    times, tau = np.array(sorted({*CHANGED, 2.9, 8.3})), torch.tensor(1.37, dtype=torch.float64, requires_grad=True)
+    module = load_module(model_of(ARRIVING))()
+
+    def end(delay: object) -> torch.Tensor:
+        found = module.simulate([1.0], times, [0.93], given(times), max_step=0.05, constants={"tau": delay})
+        return found[-1, 0]
+
+    end(tau).backward()
+    change = (end(1.37 + 1e-4) - end(1.37 - 1e-4)) / 2e-4
+    assert abs(float(change)) > 0.01
+    np.testing.assert_allclose(float(tau.grad), float(change), rtol=1e-4)

@@ -8,16 +8,17 @@ from dataclasses import replace
 from gbspec.backends.module.equations import PARAMETERS, body_of, scope
 from gbspec.backends.module.writing import comma, method_text
 from gbspec.backends.printing import Assignment, Names, temporary
-from gbspec.ir import Expr, Model
+from gbspec.ir import Expr, Model, delayed_inputs
 
 
 def methods(model: Model) -> list[str]:
-    """`delays`, `lags`, `delayed`, `history` and `past`, in models that have delays."""
+    """`delays`, `delayed_inputs`, `lags`, `delayed`, `history` and `past`, in models that have delays."""
     if not model.delays:
         return []
     lags = list(dict.fromkeys(delay.lag for delay in model.delays))
     table = [f"({json.dumps(d.name, ensure_ascii=False)}, {lags.index(d.lag)})" for d in model.delays]
     head = "# what is delayed, and by which of `lags`; in this order their values follow the inputs"
+    places = comma(str(place) for place in delayed_inputs(model))
     past = method_text(
         "@classmethod",
         "past",
@@ -28,6 +29,7 @@ def methods(model: Model) -> list[str]:
     own = replace(model, delays=())  # what is delayed holds no delays itself
     return [
         f"{head}\ndelays: ClassVar[tuple[tuple[str, int], ...]] = ({comma(table)})",
+        f"# the inputs whose changes show again\ndelayed_inputs: ClassVar[tuple[int, ...]] = ({places})",
         _lags(own, lags),
         _delayed(own, model),
         _history(own),

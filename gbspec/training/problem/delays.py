@@ -17,7 +17,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
-from gbspec.ir import Expr, Model
+from gbspec.ir import Expr, Model, delayed_inputs
 from gbspec.passes import greatest_value, least_value
 
 ORDER = 4
@@ -60,12 +60,10 @@ def jumps(item: Trajectory, model: Model, echo: Echo, switches: Array) -> Array:
     """The times at which what an echo repeats happened; `switches`: those at which the model itself jumps."""
     if echo.dose is not None:
         return np.asarray(item.doses[echo.dose].times, dtype=np.float64)
-    delayed = {s for value in model.inlined(d.value for d in model.delays) for s in value.free_symbols}
     found = [np.array([item.start]), switches]
-    for spec, signal in zip(model.inputs, item.inputs, strict=True):
-        if spec.symbol in delayed:
-            times = np.asarray(signal.times, dtype=np.float64)
-            found.append(times[times > item.start])
+    for place in delayed_inputs(model):
+        times = np.asarray(item.inputs[place].times, dtype=np.float64)
+        found.append(times[times > item.start])
     return np.unique(np.concatenate(found))
 
 

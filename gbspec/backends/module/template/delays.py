@@ -6,10 +6,12 @@ import itertools
 import math as _math
 from typing import Any
 
-from gbspec.backends.module.template.arithmetic import _torch_arithmetic
-from gbspec.backends.module.template.vectors import _tensor
+import numpy as np
 
-_NAMES = (itertools, _math)
+from gbspec.backends.module.template.arithmetic import _torch_arithmetic
+from gbspec.backends.module.template.vectors import _signal, _tensor
+
+_NAMES = (itertools, _math, np)
 
 # <body>
 # ---------------------------------------------------------------------- delays
@@ -146,50 +148,110 @@ def _width(model: Any) -> int:
     return len(model.inputs) + len(getattr(model.equations, "delays", ()))
 
 
-def _delayed_solution(
-    model: Any, x: Any, grid: list[float], condition: Any, constants: Any, networks: Any, signal: Any, limit: Any
-) -> Any:
-    """The states of `simulate` [..., n_times, n_states] for a model with delays, from x [..., n_states]."""
+def _delayed_solution(model: Any, x: Any, grid: list[float], given: Any, inputs: Any, limit: Any) -> Any:
+    """The states of `simulate` [..., n_times, n_states] for a model with delays, from x [..., n_states].
+
+    Each row has its own steps, which move with its delays. Those of a function of time are common to all rows.
+    """
     import torch
 
-    batch = x.shape[:-1]
+    batch, signal = x.shape[:-1], _signal(model, inputs, grid, x)
     count = _math.prod(batch)
 
     def flat(value: Any) -> Any:
         return value.expand(*batch, value.shape[-1]).reshape(count, value.shape[-1])
 
-    k = tuple(v.expand(batch).reshape(count) if v.ndim else v for v in constants)
-    x, given, equations = flat(x), (flat(condition), k, networks), model.equations
-    rhs = equations.field(_torch_arithmetic(), *given)
-    past = equations.past(given, x.new_full((count,), grid[0]), x, flat(signal(0, grid[0])))
+    def at(i: int, node: Any) -> Any:
+        return flat(signal(i, float(node[0]) if callable(inputs) else node.reshape(*batch, 1)))
+
+    k = tuple(v.expand(batch).reshape(count) if v.ndim else v for v in given[1])
+    x, own, equations = flat(x), (flat(given[0]), k, given[2]), model.equations
+    rhs = equations.field(_torch_arithmetic(), *own)
+    past = equations.past(own, x.new_full((count,), grid[0]), x, flat(signal(0, grid[0])))
     shortest = float(past.lags.detach().min())
     if not shortest > 0:
         raise ValueError(f"a delay is {shortest:.6g}, and it must be positive")
-    largest = shortest if limit is None else min(limit, shortest)
+    origins = [grid[0]]
+    if model.inputs and inputs is not None and not callable(inputs):
+        origins += _changes(model, grid, model.defaulted(inputs, "inputs", x))
     found = [x]
-    for i, start, end in _stretches(grid, past.lags):
-        parts = max(1, _math.ceil((end - start) / largest - 1e-9))
-        h = x.new_full((count,), (end - start) / parts)
-        for j in range(parts):
-            t = x.new_full((count,), start + j * (end - start) / parts)
+    for i, (begins, sizes, fresh) in enumerate(_batch_steps(grid, origins, past.lags, limit, callable(inputs))):
+        for t, h, new in zip(begins, sizes, fresh, strict=True):
             nodes = equations.grid(_torch_arithmetic(), t, h)
-            u = tuple(flat(signal(i, float(node[0]))) for node in nodes[0])
-            x, _ = past.across(t, h, nodes, x, u, rhs, bool(j))
-        if end == grid[i + 1]:
-            found.append(x)
+            u = tuple(at(i, node) for node in nodes[0])
+            x, _ = past.across(t, h, nodes, x, u, rhs, not new)
+        found.append(x)
     return torch.stack(found, -2).reshape(*batch, len(grid), -1)
 
 
-def _stretches(grid: list[float], lags: Any) -> list[tuple[int, float, float]]:
-    """The intervals between two times, cut where the start shows again after delays: there rates or their derivatives
-    jump. Each has the index of its interval."""
-    times, span = [grid[0]], grid[-1] - grid[0]
-    values = sorted({float(lag) for lag in lags.detach().flatten()})[:4]
-    for _ in range(4):
-        times += [time + lag for time in times for lag in values if time + lag < grid[-1]]
-        times = sorted(set(times))[:200]
-    found = []
-    for i, (start, end) in enumerate(itertools.pairwise(grid)):
-        inside = [time for time in times if start + 1e-9 * span < time < end - 1e-9 * span]
-        found += [(i, a, b) for a, b in itertools.pairwise([start, *inside, end])]
+def _changes(model: Any, grid: list[float], table: Any) -> list[float]:
+    """The times at which delayed inputs, given at the times of `grid` as `table` [..., n_times, n_inputs], jump or
+    bend in any row."""
+    found: set[float] = set()
+    for place in model.equations.delayed_inputs:
+        values = np.moveaxis(table[..., place].detach().cpu().double().numpy(), -1, 0).reshape(len(grid), -1)
+        steps = np.diff(values, axis=0)
+        if model.interpolation[place] == "linear":
+            slopes = steps / np.diff(grid)[:, None]
+            different = np.abs(np.diff(slopes, axis=0)) > 1e-9 * np.abs(slopes).max(initial=0.0)
+            found.update(np.array(grid[1:-1])[different.any(1)].tolist())
+        else:
+            found.update(np.array(grid[1:])[(steps != 0).any(1)].tolist())
+    return sorted(found)
+
+
+def _batch_steps(grid: list[float], origins: list[float], lags: Any, limit: Any, common: bool) -> Any:
+    """For each interval of `grid` the begins and sizes [n_steps, B] of the steps, which move with the delays `lags`
+    [n_lags, B], and for each step whether something may have happened before it in any row.
+
+    `common`: one sequence of steps for all rows, which then does not move if their delays differ.
+    """
+    values = lags.detach().cpu().double().numpy().T
+    kinds, kind = np.unique(values, axis=0, return_inverse=True)
+    if common and len(kinds) > 1:
+        few, kind, still = np.unique(values)[:4], np.zeros(len(values), dtype=np.int64), np.zeros(len(lags))
+        shared = _row_steps(grid, origins, few, float(values.min()), limit)
+        tables = [[((part @ np.array([1.0, *few]))[..., None] * np.append(1.0, still), new) for part, new in shared]]
+    else:
+        tables = [_row_steps(grid, origins, row, float(row.min()), limit) for row in kinds]
+    for end, each in zip(grid[1:], zip(*tables, strict=True), strict=True):
+        most = max(len(fresh) for _, fresh in each)
+        padded = np.zeros((len(each), most, 2, 1 + len(lags)))  # rows with fewer steps end with some of no length
+        padded[:, :, 0, 0] = end
+        began = np.ones((len(each), most), dtype=bool)
+        for row, (part, fresh) in enumerate(each):
+            padded[row, : len(part)], began[row, : len(part)] = part, fresh
+        parts = lags.new_tensor(padded[kind.reshape(-1)].swapaxes(0, 1))
+        times = parts[..., 0] + (parts[..., 1:] * lags.T.unsqueeze(1)).sum(-1)
+        yield times[..., 0], times[..., 1], began.any(0).tolist()
+
+
+def _row_steps(grid: list[float], origins: list[float], lags: Any, shortest: float, limit: Any) -> list[Any]:
+    """The steps of one row: for each interval of `grid` begins and sizes [n_steps, 2, 1 + n_lags], as a number and
+    multiples of the delays `lags` [n_lags], and for each whether something may have happened before it.
+
+    Steps begin one to four delays after `origins`: there rates or their derivatives jump.
+    """
+    n, span, largest = len(lags), grid[-1] - grid[0], shortest if limit is None else min(limit, shortest)
+    sums: list[tuple[int, ...]] = []
+    for size in range(1, 5):
+        more = list(itertools.combinations_with_replacement(range(n), size))
+        if sums and len(sums) + len(more) > 20:
+            break
+        sums += more
+    ahead = [[combination.count(k) for k in range(n)] for combination in sums]
+    marks, weights = np.array([[time, *counts] for time in origins for counts in ahead]), np.array([1.0, *lags])
+    marks = marks[np.argsort(marks @ weights, kind="stable")]
+    times, found = marks @ weights, []
+    for start, end in itertools.pairwise(grid):
+        first, last = np.searchsorted(times, [start + 1e-9 * span, end - 1e-9 * span])
+        apart = np.diff(times[first:last], prepend=start) > 1e-9 * span
+        ends = np.zeros((2 + int(apart.sum()), 1 + n))
+        ends[0, 0], ends[1:-1], ends[-1, 0] = start, marks[first:last][apart], end
+        widths = np.diff(ends, axis=0)
+        parts = np.ceil(widths @ weights / largest - 1e-9).clip(min=1).astype(np.int64)
+        place = np.concatenate([np.arange(count) for count in parts])
+        sizes = np.repeat(widths / parts[:, None], parts, axis=0)
+        begins = np.repeat(ends[:-1], parts, axis=0) + place[:, None] * sizes
+        found.append((np.stack([begins, sizes], 1), (place == 0).tolist()))
     return found

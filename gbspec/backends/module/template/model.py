@@ -294,7 +294,7 @@ class Template:  # {{class}}
         x = _spread(x, condition, signal(0, grid[0]), k)
         # [delays
         if "delays" in vars(self.equations):
-            return _delayed_solution(self, x, grid, condition, k, f, signal, limit)
+            return _delayed_solution(self, x, grid, (condition, k, f), inputs, limit)
         # delays]
         path, m = [x], _torch_arithmetic()
         rhs = self.equations.field(m, condition, k, f)
