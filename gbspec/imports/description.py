@@ -150,7 +150,8 @@ class Report:
 
 
 _HELP = (
-    "nothing is written, since the model would have other solutions; docs/howto/import.md lists what can be imported"
+    "nothing is written, since solutions or their likelihood would be others; "
+    "docs/howto/import.md lists what can be imported"
 )
 
 

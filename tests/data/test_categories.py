@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,15 @@ def test_a_misspelt_name_is_reported_with_its_row(tmp_path: Path, text: str) -> 
     assert finding.code == "GB733"
     assert "`wild typ`" in finding.message
     assert "wild type" in finding.help
+
+
+@pytest.mark.parametrize("text", [WIDE, LONG], ids=["wide", "long"])
+def test_no_value_is_called_missing_that_is_no_category(tmp_path: Path, text: str) -> None:
+    model = strains(tmp_path)
+    model = replace(model, conditions=tuple(replace(one, default=None) for one in model.conditions))
+    with pytest.raises(UserError) as caught:
+        read(tmp_path, text.replace("wild type", "Wild type"), model)
+    assert {finding.code for finding in caught.value.diagnostics} == {"GB733"}
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

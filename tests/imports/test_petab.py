@@ -187,6 +187,23 @@ def test_some_trajectories_begin_in_the_steady_state_of_another_condition(tmp_pa
     assert values == pytest.approx(sorted([5 - 2 * e, 5 - 4 * e, 5 + 2 * e, 5.0]), rel=1e-7)
 
 
+@pytest.mark.parametrize(
+    ("formula", "reason", "advice"),
+    [("slow", "on the estimated `slow`", "; its `estimate` could be 0"), ("0.1 + sigma*y", "on the prediction", "")],
+)
+def test_a_noise_that_is_no_number_beside_pre_equilibration(
+    tmp_path: Path, formula: str, reason: str, advice: str
+) -> None:
+    path = resting(tmp_path, "conditionId\tk\nlow\t3\nhigh\t5\n", MEASURED + "o\tlow\thigh\t1\t0\n")
+    (tmp_path / "observables.tsv").write_text(f"observableId\tobservableFormula\tnoiseFormula\no\ty\t{formula}\n")
+    with pytest.raises(UserError) as raised:
+        import_file(path, tmp_path / "out")
+    (found,) = raised.value.diagnostics
+    said = f"a noise that depends {reason} is not offered yet beside pre-equilibration{advice}"
+    assert found.message == f"observable o: {said}"
+    assert "docs/howto/import.md" in found.help
+
+
 def test_formulas_before_a_steady_state_and_after_it(tmp_path: Path) -> None:
     """Conditions with parameters are told apart by their number, before and after."""
     path = resting(

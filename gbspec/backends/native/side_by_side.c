@@ -52,6 +52,7 @@ static void try_steps(Control *c) {
         zero(sum, STATES * TILE);
         add_weighted(q, TABLEAU_V[q], c->k, sum);
         for (int t = 0; t < TILE; t++) {
+            if (!c->going[t]) continue;
             for (int i = 0; i < STATES; i++) b[i] = c->k[q][i * TILE + t] + sum[i * TILE + t];
             divide(c->lu[t], c->pivots[t], 0, b);
             for (int i = 0; i < STATES; i++) c->k[q][i * TILE + t] = R(b[i] - sum[i * TILE + t]);
@@ -68,7 +69,8 @@ static void try_steps(Control *c) {
 static void attempt(Control *c) {
 #if MATRICES
     find_slopes(c);
-    for (int t = 0; t < TILE; t++) factorise_step(c->slopes[t], c->h[t], c->lu[t], c->pivots[t]);
+    for (int t = 0; t < TILE; t++)
+        if (c->going[t]) factorise_step(c->slopes[t], c->h[t], c->lu[t], c->pivots[t]);
 #endif
     try_steps(c);
     for (int t = 0; t < TILE; t++)

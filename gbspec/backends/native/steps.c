@@ -114,6 +114,7 @@ static void factorise(double *a, int32_t *pivots) {
             a[p * n + j] = swapped;
         }
         for (int i = k + 1; i < n; i++) {
+            if (a[i * n + k] == 0 && a[k * n + k] != 0) continue; /* states on a grid see few others */
             a[i * n + k] /= a[k * n + k];
             for (int j = k + 1; j < n; j++) a[i * n + j] -= a[i * n + k] * a[k * n + j];
         }

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -80,12 +81,22 @@ def _check_times(made: Description, second: Second, report: Report) -> None:
 
 
 def _check_noise(made: Description, report: Report) -> None:
-    """Refuses noises of something else than constants and the prediction."""
+    """Refuses noises of something else than constants and the prediction, and those that are no numbers where a
+    trajectory begins at a steady state or something happens in it."""
     constants = {one.id for one in made.constants if not one.condition}
+    learned = {one.id for one in made.constants if one.learn}
+    there = {"pre-equilibration": made.rest is not None, "events and changes during an experiment": bool(made.events)}
+    beside = [what for what, given in there.items() if given]
     for channel in made.channels:
         others = set() if channel.noise is None else names(channel.noise[1]) - constants - {channel.id}
         for name in sorted(others):
             report.refuse(f"observable {channel.id}", 0, f"a noise that depends on `{name}` is not offered yet")
+        used = set() if channel.noise is None else names(channel.noise[1])
+        reasons = [(f"on the estimated `{name}`", "; its `estimate` could be 0") for name in sorted(used & learned)]
+        reasons += [("on the prediction", "")] if channel.id in used else []
+        for (reason, advice), what in itertools.product(reasons, beside):
+            text = f"a noise that depends {reason} is not offered yet beside {what}{advice}"
+            report.refuse(f"observable {channel.id}", 0, text)
 
 
 def _numbered(name: str, number_of: int, taken: Callable[[str], bool]) -> str:
