@@ -25,7 +25,8 @@ Functions declared `unknown` are arbitrary functions of their arguments. States,
 doses may have any value within their declared ranges, inputs and doses at any time; every branch of `max`, `min`,
 `abs`, `sign`, `floor` and `if` that this allows counts. Where it is open whether data reach a branch, the answer is
 *undecided*, which is no warning. Of constants with a distribution the medians are sought, as if what is drawn for each
-trajectory were known: what cannot be told apart then never can. Line numbers count from `model m`, the first.
+trajectory were known: what cannot be told apart then never can. A hidden state is among the remedies where observing
+it is enough (of more than 8 it is not tried: *which may help*). Line numbers count from `model m`, the first.
 
 | case | model | not distinguishable | transformation, or reason | lines | remedies |
 |---|---|---|---|---|---|

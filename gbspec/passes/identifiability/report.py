@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from gbspec.passes.identifiability.undecided import Open, beside_unmeasured, no_
 
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
 """Earlier warnings on a constant that explain why it cannot be learned: never used, used only in comparisons."""
+
+MOST_TRIED = 8
+"""Of so many hidden states it is tried whether it helps to measure one of them."""
 
 BUDGET = 1.2e8
 """Multiplications after which the answer is `undecided`: about two seconds."""
@@ -87,10 +90,10 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     if isinstance(declared, Open):
         return Identifiability(False, reason=reason(question, declared))
     sets = [*_sets(question, declared, everything), *_free_states(question, effort)]
-    reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
+    reported, observed = {d.subject for d in findings if d.code in _SAME_MISTAKE}, _Observed(question, Effort(budget))
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
-            _warn(model, question, found, findings)
+            _warn(model, observed, found, findings)
     touched = np.max(np.abs(_relative(declared, declared.doubtful)), axis=1, initial=0.0) > 1e-6
     doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
     faint = tuple(name for name in doubtful if name in declared.faint)
@@ -224,7 +227,54 @@ def _within(group: Array, basis: Array) -> bool:
 # -------------------------------------------------------------------------------------------------------- reporting
 
 
-def _warn(model: Model, question: Question, found: Inseparable, findings: Findings) -> None:
+@dataclass
+class _Observed:
+    """What remains of a question's sets where some of its hidden states are measured too, within an effort."""
+
+    question: Question
+    effort: Effort
+    _rest: dict[tuple[int, ...], list[Inseparable] | None] = field(default_factory=dict)
+
+    def rest(self, *states: int) -> list[Inseparable] | None:
+        """The sets with these states measured; None where that is not decided."""
+        if states not in self._rest:
+            try:
+                self._rest[states] = self._found(replace(self.question, known=self.question.known | set(states)))
+            except (KeyError, np.linalg.LinAlgError, FloatingPointError):
+                self._rest[states] = None
+        return self._rest[states]
+
+    def _found(self, question: Question) -> list[Inseparable] | None:
+        found = find(question, self.effort)
+        if isinstance(found, Open) or found.doubtful.shape[1]:
+            return None
+        return [*_sets(question, found, None), *_free_states(question, self.effort)]
+
+    def ways(self, found: Inseparable) -> list[str]:
+        """What to observe so that a set can be learned: one of the states each of which is enough, else all of them
+        where that is; where that is not decided, what may help."""
+        states, hidden = self.question.model.states, self.question.hidden
+        if found.measured_states or not hidden:
+            return []
+        names = [states[i].name for i in hidden]
+        if len(hidden) <= MOST_TRIED:
+            each = [self.rest(i) for i in hidden]
+            helps = [name for name, sets in zip(names, each, strict=True) if sets is not None and _gone(found, sets)]
+            if helps:
+                return [f"observe {_list(helps, 'or')}"]
+            together = self.rest(*hidden)
+            if together is not None and None not in each:
+                return [f"observe {_list(names)}"] if _gone(found, together) else []
+        return [f"observe {_list(names, 'or')}, which may help"]
+
+
+def _gone(found: Inseparable, sets: Sequence[Inseparable]) -> bool:
+    """Whether nothing of a set is among those that remain."""
+    mine = set(found.constants or found.states)
+    return not any(mine & set(one.constants or one.states) for one in sets)
+
+
+def _warn(model: Model, observed: _Observed, found: Inseparable, findings: Findings) -> None:
     code = "GB407" if found.states else "GB401" if len(found.names) > 1 else "GB402"
     if any(model.accepts(code, name) for name in found.names):
         return
@@ -248,8 +298,8 @@ def _warn(model: Model, question: Question, found: Inseparable, findings: Findin
         place,
         label=kind,
         labels=labels,
-        notes=[_note(found), *_scope(question)],
-        help=_help(model, question, found, code),
+        notes=[_note(found), *_scope(observed.question)],
+        help=_help(model, observed, found, code),
         subject=found.names[0],
     )
 
@@ -286,13 +336,11 @@ def _scope(question: Question) -> list[str]:
     return ["this holds for values within the declared ranges: other branches of the equations were not considered"]
 
 
-def _help(model: Model, question: Question, found: Inseparable, code: str) -> str:
+def _help(model: Model, observed: _Observed, found: Inseparable, code: str) -> str:
     ways: list[str] = []
     if found.states:
         ways.append(f"give {_list(found.states, 'or')} a known start (`initial {found.states[0]} = …`)")
-    hidden = [model.states[i].name for i in question.hidden]
-    if not found.measured_states and hidden:
-        ways.append(f"observe {_list(hidden, 'or')}")
+    ways += observed.ways(found)
     if found.constants:
         ways += remedies.ways(model, found.constants)
     if found.unknowns and found.measured_states:
