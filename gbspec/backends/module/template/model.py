@@ -23,6 +23,7 @@ import numpy as np
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.delays import _delayed_solution, _width
 from gbspec.backends.module.template.directions import _weight_slopes
+from gbspec.backends.module.template.events import _band
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.steady import _steady_starts
@@ -302,9 +303,7 @@ class Template:  # {{class}}
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
         # [events
         cut: Any = self.equations
-        # Times of float32 that are equal up to rounding are one, or a periodic event would happen twice.
-        band = max(1e-11 * (grid[-1] - grid[0]), torch.finfo(x.dtype).eps * max(abs(grid[0]), abs(grid[-1])))
-        events = cut.cutting((condition, k, f), (condition, k, f), band, True)
+        events = cut.cutting((condition, k, f), (condition, k, f), _band(x, grid), True)
         # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
