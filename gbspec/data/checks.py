@@ -41,24 +41,17 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
             check_gaps(table, quantity, model.inputs[quantity.index], cells, findings)
     start = starts_of(table, model.time.start)
     for quantity in wanted:
-        if _unreadable(quantity, findings):
-            continue  # what is lacking may be what could not be read
         if quantity.role == "condition":
             default = model.conditions[quantity.index].default
             _constant(table, quantity, default, findings)
         elif quantity.role == "input" and quantity in table.series and model.inputs[quantity.index].default is None:
-            _known_at_start(table, quantity, start, findings)
+            if not _unreadable(quantity, findings):
+                _known_at_start(table, quantity, start, findings)
     if measured:
         given = any(state.initial.kind in ("expression", "steady") for state in model.states)
         fixed = model.time.start is not None
         known = np.full(len(start), -np.inf) if fixed else start if given else start + np.inf
         _measured(table, known, _informative(table, model), findings)
-
-
-def _unreadable(quantity: Quantity, findings: Findings) -> bool:
-    """Whether cells of a quantity were reported that cannot be read: in its own column, or in that of all values."""
-    places = [error.place for error in findings.errors if error.code in ("GB712", "GB713", "GB730", "GB733")]
-    return any(isinstance(place, Cell) and place.column in (quantity.column, "value") for place in places)
 
 
 def _resolved(table: Records, findings: Findings) -> None:

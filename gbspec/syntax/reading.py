@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from gbspec.diagnostics import Cell, Diagnostic, Source, Span, UserError
 from gbspec.files import TooLargeError, read_bytes
 from gbspec.syntax.limits import MOST_BYTES, refused
 
+_NUMBER = re.compile(r"[-+]?\d+([.,]\d*)?([eE][-+]?\d+)?")
 _TABLES = frozenset({".csv", ".tsv", ".parquet", ".pq", ".xlsx"})
 
 
@@ -16,8 +18,7 @@ def read_source(path: Path | str) -> Source:
     path = Path(path)
     place = Cell(str(path))
     if path.suffix.lower() in _TABLES and path.is_file():  # parsed as a model, each of its rows would be an error
-        message = f"`{path}` is a table of data, not a model"
-        raise UserError([Diagnostic("GB002", message, place, help="the `.gb` file comes first, then the table")])
+        raise UserError([_a_table(path)])
     try:
         data = read_bytes(path, MOST_BYTES)
     except TooLargeError:
@@ -32,7 +33,36 @@ def read_source(path: Path | str) -> Source:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         message = f"`{path}` cannot be read: {reason}"
         raise UserError([Diagnostic("GB002", message, place, help="check its name and its permissions")]) from None
-    return decode(str(path), data)
+    source = decode(str(path), data)
+    if path.suffix.lower() != ".gb" and _has_rows(source.text):
+        raise UserError([_a_table(path)])
+    return source
+
+
+def _a_table(path: Path) -> Diagnostic:
+    """What is said of a table where a model belongs, as by `gbspec check`, which takes no table, or in their order."""
+    known = path.suffix.lower() in _TABLES - {".xlsx"}
+    saved = "" if known else ", saved as CSV (.csv), TSV (.tsv) or Parquet (.parquet)"
+    named = path if known else "TABLE.csv"
+    return Diagnostic(
+        "GB002",
+        f"`{path}` is a table of data, not a model",
+        Cell(str(path)),
+        help="`gbspec check` takes models only; where a command takes a table, the `.gb` file comes before it"
+        f"{saved}: `gbspec train MODEL.gb {named} -o RUN` names errors of a table before it fits",
+    )
+
+
+def _has_rows(text: str) -> bool:
+    """Whether a text begins as a table does, with a line of names and a line of as many cells, some of them numbers."""
+    lines = [line.strip() for line in text.split("\n", 40)[:40] if line.strip()][:2]
+    if len(lines) < 2 or lines[0].startswith(("#", "model ")):
+        return False
+    for separator in ("\t", ";", ","):
+        names, cells = (line.split(separator) for line in lines)
+        if 1 < len(names) == len(cells) and any(_NUMBER.fullmatch(cell.strip()) for cell in cells):
+            return True
+    return False
 
 
 def decode(path: str, data: bytes) -> Source:

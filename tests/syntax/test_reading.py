@@ -81,11 +81,24 @@ def test_a_table_in_place_of_the_model_is_one_diagnostic(tmp_path: Path, name: s
     (finding,) = caught.value.diagnostics
     assert finding.code == "GB002"
     assert "table of data" in finding.message
+    assert "`gbspec check` takes models only" in finding.help
+    assert f"`gbspec train MODEL.gb {tmp_path / name} -o RUN`" in finding.help
+
+
+@pytest.mark.parametrize("text", ["ID\tTime\tV\n16\t7.0\t96.25\n", "t;x\n0;1,5\n", "t,x\na,-1e3\n"])
+def test_a_table_of_another_name_is_known_by_its_rows(tmp_path: Path, text: str) -> None:
+    (tmp_path / "data.txt").write_text(text)
+    with pytest.raises(UserError) as caught:
+        read_source(tmp_path / "data.txt")
+    (finding,) = caught.value.diagnostics
+    assert finding.code == "GB002"
+    assert "saved as CSV" in finding.help and "`gbspec train MODEL.gb TABLE.csv -o RUN`" in finding.help
 
 
 def test_a_model_may_have_any_other_name(tmp_path: Path) -> None:
-    (tmp_path / "model.txt").write_text("model m\n")
-    assert read_source(tmp_path / "model.txt").text == "model m\n"
+    for text in ("model m\n", "# a, b\n# 1, 2\n", "model m\nstate x, y\n", "\n"):
+        (tmp_path / "model.txt").write_text(text)
+        assert read_source(tmp_path / "model.txt").text == text
 
 
 def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:

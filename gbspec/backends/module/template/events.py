@@ -24,8 +24,9 @@ _SHORT = 20  # most of them that follow each other within the band
 _FALLING, _NEAR = 6, 1e5  # so many ever shorter intervals, the last within this many bands or ten ticks, have no end
 
 
-def _band(grid: list[float], x: Any) -> float:
-    """Times that are so close are one: those of float32, equal up to rounding, would let a periodic event happen twice."""
+def _band(x: Any, grid: list[float]) -> float:
+    """How far apart times are the same one: at least their rounding in the type of `x`, or a periodic event at the end
+    of a step would happen twice in float32."""
     import torch
 
     return max(1e-11 * (grid[-1] - grid[0]), torch.finfo(x.dtype).eps * max(abs(grid[0]), abs(grid[-1])))

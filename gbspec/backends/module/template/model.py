@@ -303,7 +303,7 @@ class Template:  # {{class}}
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
         # [events
         cut: Any = self.equations
-        events = cut.cutting((condition, k, f), (condition, k, f), _band(grid, x), True)
+        events = cut.cutting((condition, k, f), (condition, k, f), _band(x, grid), True)
         # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
