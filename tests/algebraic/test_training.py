@@ -73,7 +73,8 @@ def test_an_unknown_function_inside_an_equation_is_trained(tmp_path: Path) -> No
     (tmp_path / "m.gb").write_text(DIODE)
     (tmp_path / "d.csv").write_text("t,u,v,q\n0,2,,\n0.5,,0.9,0.2\n1,,1.0,0.4\n1.5,,1.1,0.5\n")
     model = gbspec.load(tmp_path / "m.gb")
-    run = model.train(tmp_path / "d.csv", tmp_path / "run", method="lm", epochs=1, threads=1, workers=1).run
+    options = {"method": "lm", "epochs": 1, "max_step": 0.5, "threads": 1, "workers": 1}
+    run = model.train(tmp_path / "d.csv", tmp_path / "run", **options).run
     assert np.isfinite(run.fit.members[0].loss)
     low, high = (float(run.member().weights[f"network.i.input_{end}"][0]) for end in ("low", "high"))
     assert 0 <= low < high <= 3

@@ -116,7 +116,7 @@ def test_cycles_without_a_hopf_point_in_the_range_come_from_the_flow() -> None:
 
 
 def test_the_chemostat_has_one_supercritical_hopf_point() -> None:
-    diagram = bifurcate(baltzis_fredrickson(), "theta", 4.5, 5.5)
+    diagram = bifurcate(baltzis_fredrickson(), "theta", 4.8, 5.1)
     (hopf,) = diagram.of_kind("hopf")
     assert hopf.criticality == "super"
     assert hopf.value == pytest.approx(4.93262, abs=1e-5)

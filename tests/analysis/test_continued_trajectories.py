@@ -15,6 +15,8 @@ from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of, trajectory
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
 
 

@@ -16,6 +16,8 @@ from gbspec.runs import Run
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of, trajectory
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 TIMES = np.linspace(0, 6, 25)
 WORDS = "not follow the rows from which what is unknown was estimated"
 

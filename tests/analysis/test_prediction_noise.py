@@ -56,7 +56,7 @@ def test_what_a_new_trajectory_has_of_its_own_moves_with_what_is_shared(tmp_path
     model = model_of(text.replace("observe x", "observe y = g*x"))
     data = decays([20.0, 30.0, 40.0], 0.1, 0)
     data = Trajectories(data.items, ("y",))
-    run = train(model, data, TrainOptions(), tmp_path / "run")
+    run = train(model, data, TrainOptions(effort="low"), tmp_path / "run")
     new = replace(decays([25.0], 0.1, 5), channels=("y",))
     (item,) = forecast(run, new, window=10).items
     assert np.all(item.sd[:, 0] < 0.25 * item.mean[:, 0])

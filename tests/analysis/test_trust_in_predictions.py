@@ -16,6 +16,8 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.runs.verdict import innovations
 from tests.training.conftest import model_of, trajectory
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 FOLLOWED = ChannelRecord(0.98, 0.1, autocorrelation=0.0, pairs=100)
 LOST = ChannelRecord(0.3, 0.1, autocorrelation=0.9, pairs=100)
 BLOWN_UP = ChannelRecord(None, 0.1)

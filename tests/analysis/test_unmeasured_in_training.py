@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 
 from gbspec.analysis.prediction.forecast import forecast
@@ -13,6 +14,8 @@ from gbspec.data import Trajectories
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of, trajectory
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
 
 MODEL = """\
 model two "A hidden state decays into a measured one"

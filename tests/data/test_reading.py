@@ -231,14 +231,14 @@ def test_name_and_value_may_be_channels(reading: Reader) -> None:
     assert found.meta["layout"] == "wide"
 
 
-def test_a_million_rows_are_not_read_row_by_row(tmp_path: Path) -> None:
-    n = 1_000_000
+def test_many_rows_are_not_read_row_by_row(tmp_path: Path) -> None:
+    n = 250_000
     index = np.arange(n)
     frame = pl.DataFrame({"trajectory": index // 1000, "t": (index % 1000) * 0.01, "V": index * 0.7, "F": index % 7})
     frame.write_csv(tmp_path / "big.csv")
     found: list[Trajectories] = []
     assert calls(lambda: found.append(read(tmp_path / "big.csv", tank(), Findings()))) < n
-    assert len(found[0]) == 1000 and found[0].measurements == n
+    assert len(found[0]) == n // 1000 and found[0].measurements == n
 
 
 @pytest.mark.parametrize("above", ["", "# made by a reactor\n# on a Tuesday\n"])

@@ -68,15 +68,15 @@ def laplace(data: Trajectories, k: float, w: float, q: float, s: float) -> float
     for item, x0 in zip(data.items, STARTS, strict=True):
         y = item.values[:, 0]
 
-        def joint(z: float, x0: float = float(x0), y: Array = y) -> float:
-            residual = solution(np.asarray(k * np.exp(w * z)), x0, q)[0] - y
-            return float((np.log(2 * np.pi * s**2) + residual**2 / s**2).sum() + z**2)
+        def joint(z: Array, x0: float = float(x0), y: Array = y) -> Array:
+            residual = solution(k * np.exp(w * z), x0, q)[0] - y
+            return (np.log(2 * np.pi * s**2) + residual**2 / s**2).sum(-1) + np.square(z)
 
         grid = np.linspace(-5, 5, 401)
-        start = grid[int(np.argmin([joint(z) for z in grid]))]
+        start = grid[int(np.argmin(joint(grid)))]
         mode = minimize_scalar(joint, bounds=(start - 0.03, start + 0.03), options={"xatol": 1e-10}, method="bounded")
         slope = w * solution(np.asarray(k * np.exp(w * mode.x)), x0, q)[1]
-        total += joint(mode.x) + np.log1p((slope**2).sum() / s**2)
+        total += float(joint(mode.x)) + np.log1p((slope**2).sum() / s**2)
     return total
 
 

@@ -93,7 +93,7 @@ def test_adaptive_steps_end_at_switches_too(text: str, solver: str) -> None:
     """With the derivatives of exact solutions, through the times of jumps, in the kernel and in the graph."""
     model = cut(text)
     problem, parameters, theta = problem_of(model, ROWS[text], np.inf, blend=0.0, method=METHODS[solver])
-    problem = replace(problem, control=Control(1e-7, np.ones(len(model.states))))
+    problem = replace(problem, control=Control(1e-6, np.ones(len(model.states))))
     fixed, same, _ = problem_of(model, ROWS[text], 0.01, blend=0.0)
     exact = linearise(engines_of(fixed, same)[1], theta).shared
     for engine in engines_of(problem, parameters):

@@ -11,6 +11,8 @@ import gbspec
 from gbspec.arrays import Array
 from gbspec.training.optimise.normal_equations import huber_weights, of_estimates
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 ROWS, SETS = 60, 400
 
 

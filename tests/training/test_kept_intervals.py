@@ -17,6 +17,8 @@ from gbspec.training.recipe.stages import ChoiceOfFit
 from gbspec.training.starts import refit_starts
 from tests.training.conftest import model_of, trajectory
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 TEXT = """\
 model tank "An outflow that is not known, and a leak"
 input u held

@@ -21,8 +21,10 @@ from gbspec.training.optimise.units import exponents
 from gbspec.training.problem import Bijections
 from tests.training.test_populations import SHARED, model_of, table
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 SAID = "other constants fit the data equally well: "
-FAST = TrainOptions(backend="torch", device="cpu", effort="low", max_step=0.5)
+FAST = TrainOptions(device="cpu", effort="low", max_step=0.5)
 
 CHAIN = """model chain
 time t : day from 0
