@@ -45,8 +45,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
             default = model.conditions[quantity.index].default
             _constant(table, quantity, default, findings)
         elif quantity.role == "input" and quantity in table.series and model.inputs[quantity.index].default is None:
-            if not _unreadable(quantity, findings):
-                _known_at_start(table, quantity, start, findings)
+            _known_at_start(table, quantity, start, findings)
     if measured:
         given = any(state.initial.kind in ("expression", "steady") for state in model.states)
         fixed = model.time.start is not None
@@ -232,6 +231,8 @@ def _assumed(table: Records, quantity: Quantity, default: float, empty: NDArray[
 
 def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: Findings) -> None:
     """Reports inputs without a value at the start of a trajectory."""
+    if _unreadable(quantity, findings):
+        return
     cells = table.series[quantity]
     first = np.full(len(table.labels), np.inf)
     np.minimum.at(first, table.group[cells.key], table.time[cells.key])
