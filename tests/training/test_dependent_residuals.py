@@ -112,7 +112,7 @@ def test_innovations_that_only_their_correlation_shows_are_told_with_it() -> Non
     [
         ("d' = -d/tau", "`d` is a disturbance with a memory already. What may help: one of second order (`state d2_ ="),
         ("d' = 0", "`d` is a disturbance with a memory already"),
-        ("d' = -d/tau + u", "a disturbance with a memory (`state d = 0`"),
+        ("d' = -d/tau + u", "a disturbance with a memory (`state d_ = 0`, `d_' = -d_/tau_`"),
     ],
 )
 def test_a_model_is_not_advised_to_add_the_disturbance_that_it_has(disturbance: str, said: str) -> None:

@@ -9,6 +9,7 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from gbspec.ir import Model, Range, logarithmic
+from gbspec.training.runs.naming import new_name
 
 SPELLED_OUT = 2
 """Of so many states each one's statements of a disturbance are written out; of more the first one's show how."""
@@ -59,8 +60,9 @@ def _statements(model: Model, index: int, start: str, relative: bool) -> str:
     state, time = model.states[index], model.time.unit
     own = "1" if relative else state.unit
     unit = f" : {own}/{time}^0.5" if own and time else ""
-    value = f"s_{state.name}*{state.name}" if relative else f"s_{state.name}"
-    return f"`learn s_{state.name}{unit} = {start} > 0` and `diffusion {state.name} = {value}`"
+    size = new_name(model, f"s_{state.name}")
+    value = f"{size}*{state.name}" if relative else size
+    return f"`learn {size}{unit} = {start} > 0` and `diffusion {state.name} = {value}`"
 
 
 def _disturbed(model: Model, missed: Mapping[int, float]) -> tuple[dict[int, float], list[int]]:

@@ -24,7 +24,7 @@ from gbspec.runs import (
 )
 from gbspec.training.problem import share_that_counts
 from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
-from gbspec.training.runs.naming import labelled
+from gbspec.training.runs.naming import labelled, new_name
 from gbspec.training.runs.offered import offered
 from gbspec.training.runs.unbounded import said_of_unbounded
 
@@ -312,11 +312,12 @@ def _other_disturbances(model: Model | None) -> str:
     """What may help where innovations are not independent: not what the model has already."""
     memory = remembering(model) if model is not None else []
     if not memory or model is None:
+        d, tau, s = ("d", "tau", "s_d") if model is None else (new_name(model, name) for name in ("d", "tau", "s_d"))
         return (
-            "What may help: a disturbance with a memory (`state d = 0`, `d' = -d/tau`, `diffusion d = s_d`, `learn "
-            "tau` and `s_d`, and `d` in the balance), another `diffusion`, or an unknown function"
+            f"What may help: a disturbance with a memory (`state {d} = 0`, `{d}' = -{d}/{tau}`, `diffusion {d} = {s}`, "
+            f"`learn {tau}` and `{s}`, and `{d}` in the balance), another `diffusion`, or an unknown function"
         )
-    name, new = memory[0], _new_name(model, f"{memory[0]}2")
+    name, new = memory[0], new_name(model, f"{memory[0]}2")
     delayed = "a dead time of an input (move its column by as many rows), " if model.inputs else ""
     listed = ", ".join(f"`{one}`" for one in memory)
     verb = "is a disturbance" if len(memory) == 1 else "are disturbances"
@@ -340,14 +341,6 @@ def remembering(model: Model) -> list[str]:
         and not rate.free_symbols & (moving - {state.symbol})
         and not rate.atoms(AppliedUndef)
     ]
-
-
-def _new_name(model: Model, name: str) -> str:
-    """The name with as many underscores as no quantity of the model has."""
-    taken = {one.name for one in (*model.states, *model.inputs, *model.intermediates, *model.conditions)}
-    while name in taken | set(model.constant_names):
-        name += "_"
-    return name
 
 
 def _why_coloured(channels: Mapping[str, ChannelRecord], name: str, p: float | None) -> str:
