@@ -33,7 +33,7 @@ def predicted(tmp_path: Path, observed: str, range_: str = "[0, 20]") -> Forecas
         made.append(trajectory(label, 0.0, times, values[:, None], []))
     model = model_of(DECAY.format(range=range_) + observed + "\n")
     names = (model.channels[0].name,)
-    run = train(model, Trajectories((made[0],), names), TrainOptions(), tmp_path / "run")
+    run = train(model, Trajectories((made[0],), names), TrainOptions(effort="low"), tmp_path / "run")
     return forecast(run, Trajectories((replace(made[1], label="new"),), names))
 
 

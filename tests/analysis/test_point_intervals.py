@@ -24,7 +24,6 @@ from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
-from gbspec.operations import analysing
 from gbspec.runs import NORMAL_90, Certainties, ConstantRecord, Covariance
 from tests.analysis.conftest import model_of, nearly_true
 
@@ -87,7 +86,6 @@ def test_the_interval_is_in_text_json_and_figure(
 ) -> None:
     member = nearly_true()
     run = write_run(model_of("urp_gb2"), member)
-    monkeypatch.setattr(analysing, "true_diagram", lambda *asked, cycles, doublings: None)
     names = tuple(key for key in member.shapes() if key.endswith((".weight", ".bias")))
     size = sum(int(np.prod(member.shapes()[key])) for key in names)
     known = Covariance(

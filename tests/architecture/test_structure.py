@@ -59,27 +59,29 @@ def door(package: str) -> dict[str, str]:
     return found
 
 
-def imports(module: str) -> Iterator[tuple[str, str | None, str]]:
+@cache
+def imports(module: str) -> list[tuple[str, str | None, str]]:
     """Of each import of something of gbspec, wherever it stands: the module, the name taken from it, the name given.
 
     A name taken at a package's door is taken from the module that defines it.
     """
-    known = trees()
+    known, found = trees(), []
     for node in ast.walk(known[module][1]):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{module} imports relatively"
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
                 if whole in known:
-                    yield whole, None, alias.asname or alias.name
+                    found.append((whole, None, alias.asname or alias.name))
                 elif node.module in known and alias.name in door(node.module):
-                    yield door(node.module)[alias.name], alias.name, alias.asname or alias.name
+                    found.append((door(node.module)[alias.name], alias.name, alias.asname or alias.name))
                 elif node.module in known:
-                    yield str(node.module), alias.name, alias.asname or alias.name
+                    found.append((str(node.module), alias.name, alias.asname or alias.name))
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name in known:
-                    yield alias.name, None, alias.asname or alias.name
+                    found.append((alias.name, None, alias.asname or alias.name))
+    return found
 
 
 def circles() -> set[frozenset[str]]:

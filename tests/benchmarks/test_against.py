@@ -38,9 +38,9 @@ def test_a_command_that_fails_ends_the_comparison(tmp_path: Path) -> None:
 
 def test_a_worker_times_the_functions_that_it_names() -> None:
     """The worker's program fits the benchmarks of this checkout."""
-    worker = Worker(HERE, trajectories=6, only="Jacobian, kernel|native float32")
+    worker = Worker(HERE, trajectories=6)
     try:
-        assert set(worker.names) == {"step, native float32", "Jacobian, kernel"}
+        assert "Jacobian, kernel" in worker.names
         assert worker.seconds("step, native float32") > 0
     finally:
         worker.process.kill()

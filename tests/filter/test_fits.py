@@ -421,7 +421,7 @@ def test_the_step_that_is_checked_is_that_of_the_filter(text: str, tmp_path: Pat
     model = model_in(tmp_path, text)
     data = data_in(tmp_path, model)
     bad = fitting.train(model, data, tmp_path / "bad", replace(FAST, max_step=0.2))
-    good = fitting.train(model, data, tmp_path / "good", replace(FAST, max_step=0.02))
+    good = fitting.train(model, data, tmp_path / "good", replace(FAST, max_step=0.05))
     small = good.fit.step_checks[0].half_step
     assert small is not None and small < 1e-3
     assert "of predictions from row to row: half step" in str(analysing.validate(good, data))
