@@ -9,7 +9,8 @@ import pytest
 from scipy.optimize import minimize
 
 from gbspec.arrays import Array
-from gbspec.diagnostics import UserError
+from gbspec.data import read
+from gbspec.diagnostics import Findings, UserError
 from gbspec.operations import comparing
 from gbspec.report import run_summary
 from gbspec.runs import Run
@@ -72,3 +73,22 @@ def test_a_maximum_beside_it_is_one(tmp_path: Path) -> None:
     assert found.least == pytest.approx(best.fun, abs=0.01)
     assert found.noise["X"].interval is not None
     assert not any("no maximum" in one for one in run.fit.warnings)
+
+
+def test_what_the_rest_is_known_by_does_not_depend_on_the_noise_that_is_gone(tmp_path: Path) -> None:
+    """The logarithm of a disturbance's size has the variance 1/2n of n increments, which trajectories share."""
+    text = DRIFT.replace("learn mu = 0.5 in [-5, 5]", "const mu = 0").replace("X in [-5, 5] = 0", "X") + LEARNED
+    text = text.replace("learn s = 0.3 in [0, 5]", "learn s = 0.5 in [0.01, 5]")
+    model, rng = model_in(tmp_path, text), np.random.default_rng(7)
+    lines = ["trajectory,t,X"]
+    for i in range(5):
+        x = 2.0
+        for k in range(12):
+            lines.append(f"{i},{0.2 * k:.1f},{x + 0.05 * rng.standard_normal():.4f}")
+            x = np.exp(-0.14) * x + 0.4 * np.sqrt((1 - np.exp(-0.28)) / 1.4) * rng.standard_normal()
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    run = train(model, read(tmp_path / "d.csv", model, Findings()), FAST, tmp_path / "run")
+    found = run.fit.members[0].likelihood
+    assert found is not None and found.unbounded == ("X",)
+    low, high = run.fit.constants["s"].interval or (1.0, 1.0)
+    assert np.log(high / low) == pytest.approx(2 * 1.67 / np.sqrt(2 * 55), rel=0.15)

@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import gbspec
+from gbspec.training.optimise import Passing, Rest, beyond_jumps
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -61,3 +62,20 @@ def test_a_jump_at_a_learned_time_has_its_interval(tmp_path: Path) -> None:
     scale = 0.15**2 / (found.noise**2 * np.var(Y))
     for end in (found.low, found.high):
         assert (squares(end) - squares()) * scale == pytest.approx(found.threshold, rel=0.1)
+
+
+def test_several_such_constants_are_gone_through_in_turn() -> None:
+    """The sum of squares is low only where both are between two rows, and falls up to the edge of one of these."""
+
+    def objective(theta: np.ndarray) -> float:
+        jumps = 100.0 * (not 0.2 < theta[1] < 0.5) + 50.0 * (not -3.0 < theta[2] < -2.6)
+        return float(1.0 - theta[1] + 0.1 * theta[2] ** 2 + jumps)
+
+    def fit(theta: np.ndarray, held: tuple[int, ...]) -> Rest:
+        return Rest(theta, objective(theta), 0.0 if len(held) == 3 else 1.0, 0)
+
+    begun = np.array([7.0, 0.9, 0.0])
+    passing = Passing((1, 2), (np.linspace(-1, 1, 16), np.linspace(-4, 4, 33)))
+    found = beyond_jumps(fit, objective, fit(begun, (0,)), 0, passing, 1e-3)
+    assert found.theta == pytest.approx([7.0, 0.5, -2.6], abs=2e-3)
+    assert found.promised == 0.0

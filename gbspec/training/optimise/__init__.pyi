@@ -30,8 +30,8 @@ from .normal_equations import huber_weights as huber_weights
 from .normal_equations import use_threads as use_threads
 from .other_innovations import OtherInnovations as OtherInnovations
 from .other_maxima import OtherMaxima as OtherMaxima
+from .past_events import Passing as Passing
 from .past_events import beyond_jumps as beyond_jumps
-from .past_events import passing as passing
 from .preconditioned_lbfgs import Anchor as Anchor
 from .preconditioned_lbfgs import Penalised as Penalised
 from .preconditioned_lbfgs import Rest as Rest

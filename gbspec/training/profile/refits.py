@@ -17,7 +17,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import residual_vector
-from gbspec.training.optimise import Anchor, Penalised, Rest, beyond_jumps, minimise, passing
+from gbspec.training.optimise import Anchor, Passing, Penalised, Rest, beyond_jumps, minimise
 
 ACCURACY, KNOWN_ACCURACY = 0.01, 0.002
 """A fit has converged if its deviance is not predicted to decrease by more than this; the second one without networks,
@@ -131,7 +131,7 @@ class Refits:
         def fit(theta: Array, held: tuple[int, ...]) -> Rest:
             return self.follower.followed(target, theta, None, held)
 
-        passes = passing(target.parameters.model, target.parameters)
+        passes = Passing.of(target.parameters.model, target.parameters)
         return beyond_jumps(fit, target.value, first, self.column, passes, self.follower.enough)
 
     def _followed(self, target: Penalised, start: Array, entry: float) -> Rest:

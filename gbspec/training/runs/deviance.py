@@ -12,7 +12,7 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Learnable
 from gbspec.training.engines import TorchEngine, residual_vector, taken
-from gbspec.training.optimise import Penalised, Rest, beyond_jumps, passing
+from gbspec.training.optimise import Passing, Penalised, Rest, beyond_jumps
 from gbspec.training.problem import Bijections, Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import covers, half_width
@@ -104,7 +104,8 @@ class Deviance:
 
     def held(self, learnable: Learnable, column: int, estimate: float) -> Held | None:
         """The constant at an entry of the vector, if the data hold it."""
-        passes, enough = passing(self.target.parameters.model, self.target.parameters), 0.5 * ACCURACY * self.variance
+        passes = Passing.of(self.target.parameters.model, self.target.parameters)
+        enough = 0.5 * ACCURACY * self.variance
 
         def rise(value: float) -> float:
             moved = self.theta.copy()

@@ -17,6 +17,8 @@ from gbspec.training.problem import Integers
 
 ALONE = 1e-6
 """The variance of a value is that of the noise alone if it is larger by at most this part."""
+NOTHING = 1e-9
+"""Nothing is told of a noise of whose information less than this part is left."""
 
 
 def deviations(engine: FilterEngine, vector: Array, found: Filtered) -> Array:
@@ -67,8 +69,9 @@ def without_followed(engine: FilterEngine, vector: Array, found: Filtered, matri
                 x = slopes[i, channel, mine] / scale[i, channel]
                 left = 1 - min(float(x @ block @ x), 1.0)
                 out[size + place, size + place] -= 2 * (1 - left**2)
-    noises = np.arange(size, len(matrix))
-    out[noises, noises] = np.maximum(out[noises, noises], 0.0)
+    # what is left of a noise of which nothing is told is rounding, beside which its other entries would count
+    gone = size + np.flatnonzero(np.diag(out)[size:] <= NOTHING * np.diag(matrix)[size:])
+    out[gone], out[:, gone] = 0.0, 0.0
     return out
 
 
