@@ -55,13 +55,15 @@ def check_zeros(table: Records, model: Model, items: Sequence[Trajectory], findi
         bad = np.flatnonzero(zero & ~hidden[of_group[table.group[cells.key]], quantity.index])
         if not len(bad):
             continue
-        reason = why_present(model, items[of_group[table.group[cells.key[bad[0]]]]], quantity.index)
-        advice = (
-            f"zeros do not count where a state is absent from a trajectory, but {reason}; {_UNDETECTED}, or what is "
-            "known to be zero: a start of zero is then given in the model (`initial x = x0` with `condition x0`, 0 in "
-            "such trajectories); `noise normal(…)` accepts zeros"
-        )
-        _report(table, quantity, cells, bad, advice, findings)
+        group = table.group[cells.key[bad]]
+        reasons = {int(g): why_present(model, items[of_group[g]], quantity.index) for g in np.unique(group)}
+        for reason in dict.fromkeys(reasons.values()):
+            advice = (
+                f"zeros do not count where a state is absent from a trajectory, but {reason}; {_UNDETECTED}; `noise "
+                "normal(…)` accepts zeros"
+            )
+            same = np.array([reasons[int(g)] == reason for g in group])
+            _report(table, quantity, cells, bad[same], advice, findings)
 
 
 def _nothing_else(table: Records, cells: Series) -> Mask:

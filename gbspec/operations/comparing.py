@@ -84,7 +84,7 @@ class Comparison:
                 continue
             edge = " (the smaller model is at the edge of what is possible: p is too large)" if one.boundary else ""
             parts.append(
-                f"{one.larger} against {one.smaller}: -2 log L falls by {one.fall:.3f} for {_further(one)}, "
+                f"{one.larger} against {one.smaller}: -2 log L falls by {max(one.fall, 0.0):.3f} for {_further(one)}, "
                 f"p = {one.p:.3g}{edge}"
             )
         for name, lines in self.differences.items():
@@ -102,9 +102,8 @@ def compare(runs: Sequence[Run]) -> Comparison:
 
     Likelihoods are marginal ones, or those of innovations (models with `diffusion`), each at its maximum.
 
-    Raises UserError (GB775) if the data, the trajectories that were fitted or the columns of which the models speak
-    differ, a run was not fitted by a
-    likelihood, its likelihood is not at its maximum, or likelihoods are not of the same values.
+    Raises UserError (GB775) if the data, the rows that were fitted or the columns of which the models speak differ, a
+    run was not fitted by a likelihood, its likelihood is not at its maximum, or likelihoods are not of the same values.
     """
     found: list[tuple[Run, Compared]] = []
     for run in runs:
@@ -173,21 +172,28 @@ def _measured(run: Run) -> frozenset[str]:
 
 
 def _check_trajectories(run: Run, other: Run) -> None:
-    """Raises UserError (GB775) where not all members of both runs were fitted to the same trajectories."""
-    its, others = _fitted(run), _fitted(other)
+    """Raises UserError (GB775) where not all members of both runs were fitted to the same trajectories, to their end
+    or up to the same time."""
+    ends = all(isinstance(member.info.get("ends"), list) for one in (run, other) for member in one.members)
+    its, others = _fitted(run, ends), _fitted(other, ends)
     if len(its) > 1:
         message = f"the members of `{run.path}` were fitted to different trajectories"
         help_text = "fit it again: it is of an older version of gbspec, whose members held out others each"
         raise UserError([Diagnostic("GB775", message, None, help=help_text)])
     if len(its | others) > 1:
         help_text = "fit both without `--holdout`, or with the same `--holdout` and `--seed`"
-        raise _refused(run, other, "were not fitted to the same trajectories of the table", help_text)
+        raise _refused(run, other, "were not fitted to the same rows of the table", help_text)
 
 
-def _fitted(run: Run) -> set[frozenset[str]]:
-    """The labels of the trajectories that members of a run were fitted to; those of older versions may differ."""
-    labels = (member.info.get("labels") for member in run.members)
-    return {frozenset(map(str, of)) for of in labels if isinstance(of, list)}
+def _fitted(run: Run, ends: bool) -> set[frozenset[tuple[str, object]]]:
+    """The labels of the trajectories that members of a run were fitted to, and where these end (`ends`: if all members
+    know that); those of older versions may differ."""
+    out = set()
+    for labels, times in [(member.info.get("labels"), member.info.get("ends")) for member in run.members]:
+        if isinstance(labels, list):
+            known = times if ends and isinstance(times, list) else [None] * len(labels)
+            out.add(frozenset((str(label), time) for label, time in zip(labels, known, strict=True)))
+    return out
 
 
 def _counts(run: Run) -> dict[str, int | None]:
@@ -246,7 +252,7 @@ def _check_maximum(run: Run, found: LikelihoodRecord) -> None:
     elif found.unbounded:
         noises = " and ".join(f"`{name}`" for name in found.unbounded)
         said = f"has a likelihood without a maximum: it grows without limit as the noise of {noises} goes to zero"
-        help_text = "leave `initial … learn` of measured states out, or state the noise (`noise normal(…)`)"
+        help_text = "state the noise (`noise normal(…)`), or leave out `initial` of states that are measured"
     elif found.minus2ll is None:
         said, help_text = "has a likelihood that is not a finite number", "the warnings of the run say more"
     elif found.aic is None:  # what a range of a state says of a start that is learned

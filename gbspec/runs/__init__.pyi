@@ -7,6 +7,7 @@ from .covariance import read_certainties as read_certainties
 from .following import COLOURED as COLOURED
 from .following import EXACT as EXACT
 from .following import FOLLOWED as FOLLOWED
+from .following import NOT_INDEPENDENT as NOT_INDEPENDENT
 from .following import SMALL_FOR_NOISE as SMALL_FOR_NOISE
 from .following import autocorrelated as autocorrelated
 from .following import how_followed as how_followed

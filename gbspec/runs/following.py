@@ -25,6 +25,11 @@ SMALL_FOR_NOISE = "what is left is no larger than the stated noise"
 """What is said of a channel whose R² is small for its noise."""
 EXACT = 1e-6
 """A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
+NOT_INDEPENDENT = (
+    "are not independent: what disturbs the system lasts longer than the time between two measurements, or the model "
+    "lacks something. Intervals are too narrow then, and predictions of many rows poor"
+)
+"""What is said of innovations by the fit, and by predictions."""
 
 
 def how_followed(r2: float, records: Iterable[ChannelRecord] = ()) -> Literal["well", "in part", "badly"]:
@@ -107,11 +112,7 @@ def _coloured(member: MemberRecord) -> Collection[str]:
 
 
 def _of_innovations(listed: str) -> str:
-    return (
-        f"the innovations of {listed} in the training data are not independent: what disturbs the system lasts longer "
-        "than the time between two measurements, or the model lacks something. Intervals are too narrow then, and "
-        "predictions of many rows poor"
-    )
+    return f"the innovations of {listed} in the training data {NOT_INDEPENDENT}"
 
 
 def _of_residuals(listed: str) -> str:

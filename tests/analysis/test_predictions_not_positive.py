@@ -128,3 +128,18 @@ def test_the_columns_of_validate_do_not_run_together() -> None:
         ["1", "cpue", "52", "0.08673", "-1.8439e+05"],
         ["cpue", "52", "0.08673", "429.4", "0.06693", "-1.8439e+05"],
     ]
+
+
+def test_a_start_is_estimated_from_rows_of_which_some_predictions_are_not_positive(
+    tmp_path: Path, quick_fits: None
+) -> None:
+    """Residuals of their continued logarithms are large, and their solutions are solutions nevertheless."""
+    text = STOCK.replace("time t from 0\n", "").replace("initial x = 10\n", "")
+    noise = np.exp(0.03 * np.random.default_rng(0).standard_normal((16, 1)))
+    given = trajectory("a", 0.0, TIMES, (10 - 0.8 * TIMES)[:, None] / 10 * noise, [1.0])
+    run = train(model_of(text), Trajectories((given,), ("y",)), TrainOptions(effort="low"), tmp_path / "run")
+    times = 0.5 * np.arange(30)
+    values = np.maximum(10 - 1.8 * times, 0.3)[:, None] / 10
+    rows = Trajectories((trajectory("b", 0.0, times, values, [5.0]),), ("y",))
+    (item,) = forecast(run, rows, window=24).items
+    assert not item.failure and np.isfinite(item.mean).all()

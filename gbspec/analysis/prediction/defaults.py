@@ -24,9 +24,9 @@ def said_of_defaults(run: Run, items: Sequence[Trajectory]) -> list[str]:
             value = f"`{names[int(default)]}`" if names else f"{default:.6g}"
             there = f"`{names[int(low)]}`" if names else f"{low:.6g}"
             if low != high:
-                there = "others too" if names else f"{there} to {high:.6g}"
+                there = "other values" if names else f"{there} to {high:.6g}"
             out.append(
                 f"`{condition.name}` has its default, {value}, in all trajectories, as the table has no value of it; "
-                f"in the training data it was {there}. If other values are known, write them in the table"
+                f"the training data had {there}. If other values are known, write them in the table"
             )
     return out

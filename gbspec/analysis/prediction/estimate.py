@@ -280,10 +280,13 @@ class Estimator:
         with np.errstate(over="ignore"):  # squares of a diverging solution: its cost is infinite
             trials = self._trials(scale, constants, state, columns)
             rtol = COARSE if self.model.delays else TOLERANCE
-            costs = np.array([float(np.sum(errors(z, rtol) ** 2)) for z in trials])
-            solved = [trials[i] for i in np.argsort(costs, kind="stable") if costs[i] < float(np.sum(worst**2))]
+            tried = [errors(z, rtol) for z in trials]
+            costs = np.array([np.inf if one is worst else float(np.sum(one**2)) for one in tried])
+            solved = [trials[i] for i in np.argsort(costs, kind="stable") if np.isfinite(costs[i])]
             if not solved:
                 return Start(state, constants, "failed", "no initial state was found from which it can be integrated")
+            # logarithms of predictions of zero or less are continued, and may be far from those of the data
+            worst = worst * max(1.0, 10 * np.sqrt(costs[np.isfinite(costs)].max() / np.sum(worst**2)))
             # No other minimum is much better than one that follows the data as closely as their noise lets it.
             enough = int(measured.sum()) * self.pull**2 if self.noise.min() > 0 else 0.0
             found = self._refined(errors, solved, ends := self._ends(scale, constants), enough)

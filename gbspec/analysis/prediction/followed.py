@@ -15,7 +15,7 @@ import numpy as np
 from gbspec.analysis.prediction.noise import residual_noise
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir import logarithmic, on_fitted_scale
+from gbspec.ir import LEAST_PREDICTED, logarithmic, on_fitted_scale
 
 if TYPE_CHECKING:
     from gbspec.data import Scales, Trajectory
@@ -56,7 +56,7 @@ def missed(model: Model, fit: FitRecord, scales: Scales, item: Trajectory, chann
     has; None if it follows them, or if that cannot be told."""
     log, found = logarithmic(model), list[Missed]()
     noise, known = residual_noise(model, fit, channels), _errors(fit)
-    values, predicted = on_fitted_scale(item.values, channels, log)
+    values, predicted = on_fitted_scale(item.values, channels, log, LEAST_PREDICTED)
     for j, channel in enumerate(model.channels):
         own = item.sd[:, j] / np.abs(item.values[:, j]) if log[j] else item.sd[:, j]
         of_average = noise[:, j] / np.sqrt(np.maximum(item.counts[:, j], 1.0))

@@ -12,13 +12,16 @@ from gbspec.ir import Expr, Model, delayed_inputs
 
 
 def methods(model: Model) -> list[str]:
-    """`delays`, `delayed_inputs`, `lags`, `delayed`, `history` and `past`, in models that have delays."""
+    """`delays`, `delayed_inputs`, `echoes`, `lags`, `delayed`, `history` and `past`, in models that have delays."""
     if not model.delays:
         return []
     lags = list(dict.fromkeys(delay.lag for delay in model.delays))
     table = [f"({json.dumps(d.name, ensure_ascii=False)}, {lags.index(d.lag)})" for d in model.delays]
     head = "# what is delayed, and by which of `lags`; in this order their values follow the inputs"
     places = comma(str(place) for place in delayed_inputs(model))
+    moving = {one.symbol for one in (*model.states, *model.algebraics)}
+    again = any(moving & value.free_symbols for value in model.inlined(one.value for one in model.delays))
+    echoes = "# how many delays later a change may still show: what is delayed of states does so again and again"
     past = method_text(
         "@classmethod",
         "past",
@@ -30,6 +33,7 @@ def methods(model: Model) -> list[str]:
     return [
         f"{head}\ndelays: ClassVar[tuple[tuple[str, int], ...]] = ({comma(table)})",
         f"# the inputs whose changes show again\ndelayed_inputs: ClassVar[tuple[int, ...]] = ({places})",
+        f"{echoes}\nechoes: ClassVar[int] = {4 if again else 1}",
         _lags(own, lags),
         _delayed(own, model),
         _history(own),

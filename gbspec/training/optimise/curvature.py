@@ -29,6 +29,8 @@ NEGLIGIBLE = 1e-3
 """Eigenvectors along which the data reduce the prior's variance by less than this fraction are not stored."""
 UNTOLD = 1e-6
 """Extra weights of which the data tell less than this fraction apart from all others are left out of a test."""
+UNFELT = 1e-12
+"""Extra weights without an effect at the data are left out too: what little their columns have is rounding."""
 LEAST = 1e-12
 """What is added to a normal matrix of unit diagonal before it is inverted."""
 FIXED_POINT = 100
@@ -117,7 +119,8 @@ def lack_of_fit(engine: Engine, theta: Array, extra: Integers, free: Integers) -
         if reduced is None:
             return None
         matrix, gradient = reduced.matrix(), reduced.gradient()
-        kept = np.setdiff1d(np.arange(total), extra)
+        kept, size = np.setdiff1d(np.arange(total), extra), np.diag(matrix)
+        extra = extra[size[extra] > UNFELT * size.max()]
         weights, rest = kept[kept < n], kept[kept >= n]
         block = matrix[np.ix_(rest, rest)] + reduced.weak * np.eye(len(rest))
         wide = matrix[np.ix_(weights, rest)]
@@ -130,7 +133,7 @@ def lack_of_fit(engine: Engine, theta: Array, extra: Integers, free: Integers) -
         known = matrix[np.ix_(kept, kept)] + np.diag(precision[kept])
         across = np.linalg.solve(known, np.column_stack([matrix[np.ix_(kept, extra)], gradient[kept]]))
         across, step = across[:, :-1], across[:, -1]
-        unit = 1 / np.sqrt(np.maximum(np.diag(matrix)[extra], 1e-300))
+        unit = 1 / np.sqrt(size[extra])
         left = matrix[np.ix_(extra, extra)] - matrix[np.ix_(extra, kept)] @ across
         score = unit * (gradient[extra] - across.T @ gradient[kept])
         sizes, vectors = np.linalg.eigh(unit[:, None] * left * unit)

@@ -8,6 +8,7 @@ narrowed down.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -71,19 +72,27 @@ def _between(learnable: Learnable) -> Array:
 
 
 def beyond_jumps(
-    fit: Fit, value: Callable[[Array], float], first: Rest, held: int, passing: Passing, enough: float
+    fit: Fit,
+    value: Callable[[Array], float],
+    first: Rest,
+    held: int,
+    passing: Passing,
+    enough: float,
+    low: float = -math.inf,
 ) -> Rest:
     """The lowest of a fit with the entry `held` and of those with the entries `passing` at other values.
 
     `value` is the objective at a vector; a fit has converged if its objective is not predicted to fall by more than
-    `enough`.
+    `enough`. Below `low` no lower one is needed.
     """
     best, places = first, [i for i, entry in enumerate(passing.entries) if entry != held]
     everything = (held, *(passing.entries[i] for i in places))
     for _ in range(ROUNDS):
         before = best
         for place in places:
-            search = _Search(fit, value, passing.entries[place], everything, enough)
+            if best.objective <= low:
+                return best
+            search = _Search(fit, value, passing.entries[place], everything, enough, low)
             best = search.along(best, passing.between[place])
         if not best.objective < before.objective - enough:
             break
@@ -99,6 +108,7 @@ class _Search:
     entry: int
     held: tuple[int, ...]
     enough: float
+    low: float
 
     def along(self, first: Rest, between: Array) -> Rest:
         """The lowest of a fit and of those with other values of the entry."""
@@ -110,6 +120,8 @@ class _Search:
         if not fits:
             return first
         lowest = min(fits, key=lambda i: fits[i].objective)
+        if fits[lowest].objective <= self.low:
+            return fits[lowest]
         if first.promised <= self.enough and not fits[lowest].objective < first.objective - self.enough:
             return first
         free = self.fit(fits[lowest].theta, self.held[:1])
@@ -130,6 +142,8 @@ class _Search:
 
         left, right = between(best, 1 - GOLDEN), between(best, GOLDEN)
         for _ in range(NARROWED):
+            if best.objective <= self.low:
+                break
             if left.objective < right.objective:
                 high, right = float(right.theta[self.entry]), left
                 left = between(right, 1 - GOLDEN)

@@ -105,13 +105,13 @@ class Deviance:
     def held(self, learnable: Learnable, column: int, estimate: float) -> Held | None:
         """The constant at an entry of the vector, if the data hold it."""
         passes = Passing.of(self.target.parameters.model, self.target.parameters)
-        enough = 0.5 * ACCURACY * self.variance
+        enough, low = 0.5 * ACCURACY * self.variance, self.least + 0.5 * self.threshold * self.variance
 
         def rise(value: float) -> float:
             moved = self.theta.copy()
             moved[column] = Bijections.of((learnable,)).from_natural(np.array([value]))[0]
             rest = self._fit(moved, (column,))
-            rest = beyond_jumps(self._fit, self.target.value, rest, column, passes, enough)
+            rest = beyond_jumps(self._fit, self.target.value, rest, column, passes, enough, low)
             known = math.isfinite(rest.objective)
             return 2 * (rest.objective - rest.promised - self.least) / self.variance if known else -math.inf
 

@@ -188,7 +188,7 @@ def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> Likelih
     _, log_sd = engine.layout.split(vector)
     for place, channel in enumerate(engine.noise.learned):
         value, sd = float(np.exp(log_sd[place])), finite(float(deviations[engine.parameters.size + place]))
-        known = sd is not None and sd < GONE
+        known = sd is not None and sd < GONE and channel not in maximum.unbounded
         interval = (value * np.exp(-NORMAL_90 * (sd or 0)), value * np.exp(NORMAL_90 * (sd or 0))) if known else None
         noise[model.channels[channel].name] = NoiseRecord(value, sd, interval)
     return LikelihoodRecord(

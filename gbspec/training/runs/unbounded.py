@@ -18,12 +18,15 @@ def said_of_unbounded(likelihood: LikelihoodRecord, model: Model | None) -> list
         return []
     said = [] if model is None else _learned_starts(model, names)
     starts = f", as where a start is learned that is measured ({_quoted(said)})" * bool(said)
+    constants = (
+        "Constants are those of the restricted likelihood, in which starts and constants are integrated out and such "
+        "values do not count. "
+    ) * (likelihood.maximum is not False)
     out = f"leave {_quoted(said)} out (the first value then gives the start, with its noise), or " * bool(said)
     return [
         f"the likelihood has no maximum: it grows without limit as the learned noise of {_quoted(names)} goes to zero, "
         f"since the fit has some of the values exactly{starts}. There are no AIC and BIC, and `compare` refuses the "
-        "run. Constants are those of the restricted likelihood, in which starts and constants are integrated out and "
-        f"such values do not count. For a maximum {out}state the noise: `noise normal(…)`"
+        f"run. {constants}For a maximum {out}state the noise: `noise normal(…)`"
     ]
 
 

@@ -15,6 +15,7 @@ from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import (
     COLOURED,
     EXACT,
+    NOT_INDEPENDENT,
     ChannelRecord,
     LikelihoodRecord,
     SearchRecord,
@@ -294,11 +295,7 @@ def innovations(
     out, coloured = [], not_independent(channels, likelihood)
     if coloured:
         listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, p)})" for name, p in coloured.items())
-        out.append(
-            f"the innovations of {listed} are not independent: what disturbs the system lasts longer than the time "
-            "between two measurements, or the model lacks something. Intervals are too narrow then, and predictions "
-            f"of many rows poor. {_other_disturbances(model)}"
-        )
+        out.append(f"the innovations of {listed} {NOT_INDEPENDENT}. {_other_disturbances(model)}")
     gone = [f"`{name}` ({one.value:.2g})" for name, one in likelihood.noise.items() if one.interval is None]
     if gone:
         out.append(

@@ -175,7 +175,8 @@ def _delayed_solution(model: Any, x: Any, grid: list[float], given: Any, inputs:
     if model.inputs and inputs is not None and not callable(inputs):
         origins += _changes(model, grid, model.defaulted(inputs, "inputs", x))
     found = [x]
-    for i, (begins, sizes, fresh) in enumerate(_batch_steps(grid, origins, past.lags, limit, callable(inputs))):
+    steps = _batch_steps(grid, (origins, equations.echoes), past.lags, limit, callable(inputs))
+    for i, (begins, sizes, fresh) in enumerate(steps):
         for t, h, new in zip(begins, sizes, fresh, strict=True):
             nodes = equations.grid(_torch_arithmetic(), t, h)
             u = tuple(at(i, node) for node in nodes[0])
@@ -200,7 +201,7 @@ def _changes(model: Any, grid: list[float], table: Any) -> list[float]:
     return sorted(found)
 
 
-def _batch_steps(grid: list[float], origins: list[float], lags: Any, limit: Any, common: bool) -> Any:
+def _batch_steps(grid: list[float], origins: tuple[list[float], int], lags: Any, limit: Any, common: bool) -> Any:
     """For each interval of `grid` the begins and sizes [n_steps, B] of the steps, which move with the delays `lags`
     [n_lags, B], and for each step whether something may have happened before it in any row.
 
@@ -226,21 +227,24 @@ def _batch_steps(grid: list[float], origins: list[float], lags: Any, limit: Any,
         yield times[..., 0], times[..., 1], began.any(0).tolist()
 
 
-def _row_steps(grid: list[float], origins: list[float], lags: Any, shortest: float, limit: Any) -> list[Any]:
+def _row_steps(
+    grid: list[float], origins: tuple[list[float], int], lags: Any, shortest: float, limit: Any
+) -> list[Any]:
     """The steps of one row: for each interval of `grid` begins and sizes [n_steps, 2, 1 + n_lags], as a number and
     multiples of the delays `lags` [n_lags], and for each whether something may have happened before it.
 
-    Steps begin one to four delays after `origins`: there rates or their derivatives jump.
+    Steps begin one delay after the times in `origins`, and up to as many as it says: there rates or their derivatives
+    jump.
     """
     n, span, largest = len(lags), grid[-1] - grid[0], shortest if limit is None else min(limit, shortest)
     sums: list[tuple[int, ...]] = []
-    for size in range(1, 5):
+    for size in range(1, 1 + origins[1]):
         more = list(itertools.combinations_with_replacement(range(n), size))
         if sums and len(sums) + len(more) > 20:
             break
         sums += more
     ahead = [[combination.count(k) for k in range(n)] for combination in sums]
-    marks, weights = np.array([[time, *counts] for time in origins for counts in ahead]), np.array([1.0, *lags])
+    marks, weights = np.array([[time, *counts] for time in origins[0] for counts in ahead]), np.array([1.0, *lags])
     marks = marks[np.argsort(marks @ weights, kind="stable")]
     times, found = marks @ weights, []
     for start, end in itertools.pairwise(grid):
