@@ -102,7 +102,7 @@ def test_likelihoods_of_different_trajectories_are_not_compared(tmp_path: Path) 
     with pytest.raises(UserError) as refused:
         compare([several.run, other.run])
     assert refused.value.diagnostics[0].code == "GB775"
-    assert "were not fitted to the same trajectories" in refused.value.diagnostics[0].message
+    assert "were not fitted to the same rows" in refused.value.diagnostics[0].message
 
 
 def test_a_larger_model_that_fits_worse_is_remarked_on() -> None:

@@ -62,4 +62,4 @@ class Shown:
 def test_negative_predictions_are_not_said_to_be_impossible() -> None:
     (near,), (below,) = (said_of_ends(MODEL, [Shown(mean)], [0]) for mean in (20.0, -88.7))
     assert "negative ones are not" in near
-    assert "negative themselves (to -88.7)" in below and "negative ones are not" not in below
+    assert "themselves are negative (to -88.7)" in below and "negative ones are not" not in below
