@@ -12,7 +12,6 @@ from .bifurcation.plane_diagram import PlaneDiagram as PlaneDiagram
 from .bifurcation.plane_diagram import bifurcation_plane as bifurcation_plane
 from .bifurcation.uncertainty import Certainty as Certainty
 from .bifurcation.uncertainty import with_uncertainty as with_uncertainty
-from .prediction.anew import said_of_anew as said_of_anew
 from .prediction.below_zero import said_of_ends as said_of_ends
 from .prediction.defaults import said_of_defaults as said_of_defaults
 from .prediction.estimate import Estimator as Estimator
@@ -27,6 +26,7 @@ from .prediction.forecast import said_of_coverage as said_of_coverage
 from .prediction.forecast import said_of_items as said_of_items
 from .prediction.noise import interval as interval
 from .prediction.noise import noise_at as noise_at
+from .prediction.restarted import said_of_restarts as said_of_restarts
 from .prediction.solutions import Prediction as Prediction
 from .prediction.solutions import Start as Start
 from .prediction.solutions import input_values as input_values

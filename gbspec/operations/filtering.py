@@ -121,13 +121,13 @@ def _said(
     run: Run, data: Trajectories, items: Sequence[PredictedTrajectory], hidden: Sequence[int], lacking: str
 ) -> tuple[str, ...]:
     """The warnings of predicted trajectories; `lacking`: what bands of rows that were not used lack."""
-    from gbspec.analysis import said_of_anew, said_of_defaults, said_of_ends, said_of_items, said_of_states
+    from gbspec.analysis import said_of_defaults, said_of_ends, said_of_items, said_of_restarts, said_of_states
     from gbspec.runs import said_of_training
 
     ahead = any("predicted" in item.used for item in items)
     return (
         *said_of_defaults(run, data.items),
-        *said_of_anew(run, data),
+        *said_of_restarts(run, data),
         *said_of_items(items, lacking if ahead else ""),
         *said_of_ends(run.model, items, hidden),
         *said_of_states(run.model, items, tuple(hidden)),

@@ -1,4 +1,3 @@
-from .anew import said_of_anew as said_of_anew
 from .below_zero import said_of_not_positive as said_of_not_positive
 from .defaults import said_of_defaults as said_of_defaults
 from .estimate import predictions as predictions
@@ -6,6 +5,7 @@ from .followed import missed as missed
 from .followed import said_of_starts as said_of_starts
 from .grouped import said_of_groups as said_of_groups
 from .noise import noise_at as noise_at
+from .restarted import said_of_restarts as said_of_restarts
 from .solutions import ORIGINS as ORIGINS
 from .solutions import Prediction as Prediction
 from .solutions import extrapolated as extrapolated

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import polars as pl
 
-from gbspec.analysis.prediction.anew import said_of_anew
 from gbspec.analysis.prediction.below_zero import said_of_ends
 from gbspec.analysis.prediction.defaults import said_of_defaults
 from gbspec.analysis.prediction.far_outside import said_of_states
@@ -24,6 +23,7 @@ from gbspec.analysis.prediction.members import MemberPredictions
 from gbspec.analysis.prediction.moving_jumps import said_of_moving_jumps
 from gbspec.analysis.prediction.nearby import hidden_states
 from gbspec.analysis.prediction.noise import interval, noise_at
+from gbspec.analysis.prediction.restarted import said_of_restarts
 from gbspec.analysis.prediction.solutions import ALIKE, BY_MODEL, ORIGINS, Start, labels_of
 from gbspec.analysis.prediction.trained import Trained
 from gbspec.analysis.prediction.window import window_rows
@@ -277,7 +277,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         time=run.model.time.name,
         warnings=(
             *said_of_defaults(run, present),
-            *said_of_anew(run, trajectories),
+            *said_of_restarts(run, trajectories),
             *said_of_items(items, _narrow(run.model) if len(each) == 1 and each[0].covariance is None else ""),
             *_without_effect(items, window),
             *said_of_moving_jumps(run),

@@ -15,10 +15,10 @@ from gbspec.analysis.prediction import (
     mean_prediction,
     missed,
     predictions,
-    said_of_anew,
     said_of_defaults,
     said_of_groups,
     said_of_not_positive,
+    said_of_restarts,
     said_of_starts,
 )
 from gbspec.analysis.systems import extrapolation_of
@@ -249,7 +249,7 @@ def validate(
         if not run.model.diffusions:
             check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
         own = any(k.per_trajectory for k in run.model.learnables)
-        warnings += [*said_of_defaults(run, trajectories.items), *said_of_anew(run, trajectories)]
+        warnings += [*said_of_defaults(run, trajectories.items), *said_of_restarts(run, trajectories)]
         warnings += _without_logarithm(run.model, present, predicted)
         warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)

@@ -131,8 +131,12 @@ class Refits:
         def fit(theta: Array, held: tuple[int, ...]) -> Rest:
             return self.follower.followed(target, theta, None, held)
 
-        passes = Passing.of(target.parameters.model, target.parameters)
-        return beyond_jumps(fit, target.value, first, self.column, passes, self.follower.enough)
+        return beyond_jumps(fit, target.value, first, self.column, self._passing, self.follower.enough)
+
+    @cached_property
+    def _passing(self) -> Passing:
+        parameters = self._level(1.0).target.parameters
+        return Passing.of(parameters.model, parameters)
 
     def _followed(self, target: Penalised, start: Array, entry: float) -> Rest:
         """The lower one of two fits, from a start and, if it cannot be fitted or a constant has lost its effect, from

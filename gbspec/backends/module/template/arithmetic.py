@@ -49,19 +49,15 @@ def _torch_arithmetic() -> Any:
         x = tensor(x)
         return where(condition, x, x.detach()) if x.requires_grad else x
 
-    def typed(like: Any, x: Any) -> Any:
-        """`x` in the type of `like`: what was chosen among numbers, in their full precision, is wider than float32."""
-        return x if x.dtype == like.dtype else x.to(like.dtype)
-
     def pack(like: Any, parts: Any) -> Any:
         shape = like.shape[:-1]
         if not parts:
             return like.new_zeros((*shape, 0))
         if all(isinstance(part, Tensor) and part.shape == shape for part in parts):
-            return typed(like, torch.stack(parts, -1))
+            return torch.stack(parts, -1).to(like.dtype)
         whole = [part if isinstance(part, Tensor) else like.new_tensor(part) for part in parts]
         shape = np.broadcast_shapes(shape, *(part.shape for part in whole))
-        return typed(like, torch.stack([part.expand(shape) for part in whole], -1))
+        return torch.stack([part.expand(shape) for part in whole], -1).to(like.dtype)
 
     def column(x: Any) -> Any:
         return x.unsqueeze(-1) if isinstance(x, Tensor) and x.ndim else x
@@ -70,21 +66,12 @@ def _torch_arithmetic() -> Any:
         whole = [part if isinstance(part, Tensor) else like.new_tensor(part) for part in parts]
         whole = [part if part.ndim else part[None] for part in whole]
         shape = np.broadcast_shapes(like.shape[:-1], *(part.shape[:-1] for part in whole))
-        return typed(like, torch.cat([part.expand(*shape, part.shape[-1]) for part in whole], -1))
+        # what was chosen among numbers, in their full precision, is wider than float32
+        return torch.cat([part.expand(*shape, part.shape[-1]) for part in whole], -1).to(like.dtype)
 
     def repeat(like: Any, x: Any, count: int) -> Any:
         x = column(x) if isinstance(x, Tensor) else like.new_tensor(x)
         return x.expand(*np.broadcast_shapes(like.shape[:-1], x.shape[:-1]), count)
-
-    def factored(rhs: Any, t: Any, x: Any, u: Any, size: Any) -> Any:
-        with torch.enable_grad():
-            at = x.detach().requires_grad_()
-            rates = rhs(t, at, u) + 0.0 * at  # which depends on the state even where the rates do not
-            rows = [torch.autograd.grad(rate.sum(), at, retain_graph=True)[0] for rate in rates.unbind(-1)]
-        step = size.detach().unsqueeze(-1) if isinstance(size, Tensor) and size.ndim else size
-        unit = torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)
-        factors = torch.linalg.lu_factor(unit - step * torch.stack(rows, -2))
-        return lambda b: torch.linalg.lu_solve(*factors, b.unsqueeze(-1)).squeeze(-1)
 
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign floor"
     return SimpleNamespace(
@@ -110,7 +97,7 @@ def _torch_arithmetic() -> Any:
         total=lambda x: x.sum(-1),
         join=join,
         repeat=repeat,
-        factored=factored,
+        factored=_torch_factored,
         indices=lambda like, *ends: torch.arange(*ends, dtype=like.dtype, device=like.device).expand(
             *like.shape[:-1], ends[1] - ends[0]
         ),
@@ -118,6 +105,19 @@ def _torch_arithmetic() -> Any:
         inf=np.inf,
         nan=np.nan,
     )
+
+
+def _torch_factored(rhs: Any, t: Any, x: Any, u: Any, size: Any) -> Any:
+    import torch
+
+    with torch.enable_grad():
+        at = x.detach().requires_grad_()
+        rates = rhs(t, at, u) + 0.0 * at  # which depends on the state even where the rates do not
+        rows = [torch.autograd.grad(rate.sum(), at, retain_graph=True)[0] for rate in rates.unbind(-1)]
+    step = size.detach().unsqueeze(-1) if isinstance(size, torch.Tensor) and size.ndim else size
+    unit = torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)
+    factors = torch.linalg.lu_factor(unit - step * torch.stack(rows, -2))
+    return lambda b: torch.linalg.lu_solve(*factors, b.unsqueeze(-1)).squeeze(-1)
 
 
 @functools.cache

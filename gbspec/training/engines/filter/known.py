@@ -18,7 +18,7 @@ from gbspec.training.problem import Integers
 ALONE = 1e-6
 """The variance of a value is that of the noise alone if it is larger by at most this part."""
 NOTHING = 1e-9
-"""Nothing is told of a noise of whose information less than this part is left."""
+"""A noise of whose information less than this part is left has none."""
 
 
 def deviations(engine: FilterEngine, vector: Array, found: Filtered) -> Array:
@@ -69,7 +69,7 @@ def without_followed(engine: FilterEngine, vector: Array, found: Filtered, matri
                 x = slopes[i, channel, mine] / scale[i, channel]
                 left = 1 - min(float(x @ block @ x), 1.0)
                 out[size + place, size + place] -= 2 * (1 - left**2)
-    # what is left of a noise of which nothing is told is rounding, beside which its other entries would count
+    # what is left of its information is rounding, beside which its other entries would count
     gone = size + np.flatnonzero(np.diag(out)[size:] <= NOTHING * np.diag(matrix)[size:])
     out[gone], out[:, gone] = 0.0, 0.0
     return out

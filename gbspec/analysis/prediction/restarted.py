@@ -1,4 +1,4 @@
-"""What is said of trajectories that seem to go on with one of the training data, but start anew."""
+"""What is said of trajectories that seem to go on with one of the training data, but begin again at a given start."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 
-def said_of_anew(run: Run, trajectories: Trajectories) -> list[str]:
+def said_of_restarts(run: Run, trajectories: Trajectories) -> list[str]:
     """A warning of trajectories that begin after the last row that the training had of their label, where the model
     gives a start: nothing says that they are others, and nothing that was learned of the first one is used. Runs of
     older versions do not know when their trajectories end."""
@@ -34,7 +34,7 @@ def said_of_anew(run: Run, trajectories: Trajectories) -> list[str]:
     when = f"at {first.begins:.6g}" + ("" if one else f" (`{first.label}`)")
     return [
         f"{what} {when}, after the last row that the training had of {'this label' if one else 'these labels'} "
-        f"({ends[first.label]:.6g}), and {'starts' if one else 'start'} anew there: the model gives the start of "
+        f"({ends[first.label]:.6g}), and {'begins' if one else 'begin'} again there: the model gives the start of "
         f"{', '.join(given)}. If {'it goes' if one else 'they go'} on with what was measured before, give the rows of "
         "the training too: later ones are then predicted from what was learned of these"
     ]

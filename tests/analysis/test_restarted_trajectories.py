@@ -32,7 +32,7 @@ def table(*items: Trajectory) -> Trajectories:
 @pytest.mark.parametrize("more", ["initial x = 10\n", ""], ids=["given start", "measured start"])
 def test_rows_that_go_on_without_those_of_the_training_are_told(tmp_path: Path, quick_fits: None, more: str) -> None:
     run = train(model_of(STOCK + more), table(measured("a", slice(8))), TrainOptions(), tmp_path / "run")
-    words = "trajectory `a` begins at 2008, after the last row that the training had of this label (2007), and starts"
+    words = "trajectory `a` begins at 2008, after the last row that the training had of this label (2007), and begins"
     cases = [
         (table(measured("a", slice(8, None))), bool(more)),
         (table(measured("a", slice(None))), False),  # with the rows of the training
