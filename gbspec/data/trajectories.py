@@ -142,6 +142,16 @@ class Trajectories(Tabled):
         """Number of measured values."""
         return int(sum(np.sum(item.counts) for item in self.items))
 
+    def with_defaults(self, defaults: Sequence[float | None]) -> Trajectories:
+        """The data with other `defaults` [n_conditions]: conditions that the table has no value of have them."""
+        items = []
+        for item in self.items:
+            condition = item.condition.copy()
+            for i in item.assumed:
+                condition[i] = np.nan if defaults[i] is None else defaults[i]
+            items.append(replace(item, condition=condition))
+        return replace(self, items=tuple(items))
+
     def subset(self, indices: Sequence[int]) -> Trajectories:
         """The data set reduced to some of its trajectories; unless it is the whole one, it is in no file."""
         items = tuple(self.items[i] for i in indices)

@@ -219,6 +219,7 @@ def _evaluated(
     from gbspec.data import present_values
     from gbspec.training import Given, check_limits, evaluate, evaluate_integral, parameters_of
 
+    data = data.with_defaults([condition.default for condition in model.conditions])
     check_limits(model, data)
     known = parameters_of(model, population) if model.distributed else {}
     if not model.distributed:

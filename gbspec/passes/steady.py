@@ -43,12 +43,14 @@ def with_steady_start(model: Model, findings: Findings) -> Model:
 def _refuse_together(model: Model, place: Span | None, findings: Findings) -> None:
     watched = [event for event in model.events if event.guard is not None]
     alone = () if model.steady is None else model.steady.states
+    one_each = "leave out `~ …`, so that each trajectory has a value of its own"
+    stated = "state noises by numbers, or leave them out (they are then estimated)"
     reasons = [
         (bool(model.diffusions), "random disturbances (`diffusion`)", "leave one of them out"),
         (
             model.marginal,
             "constants that are distributed between trajectories, or learned noises",
-            "leave out `~ …`, so that each trajectory has a value of its own, or give the starts as expressions",
+            f"{one_each if model.distributed else stated}, or give the starts as expressions",
         ),
         (bool(model.algebraics), "algebraic variables", "give the starts as expressions"),
         (bool(model.delays), "delays", "give the starts as expressions, and the past by `history`"),

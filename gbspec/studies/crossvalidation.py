@@ -231,6 +231,11 @@ def _fitted(
         record = FoldRecord(fold.number, tuple(held_out(run, fold, options.window)))
     except ComputationError as error:
         record = FoldRecord(fold.number, (), " - ".join(part for part in (error.what, error.where) if part))
+    except UserError as error:
+        without = "rows at the start of each trajectory" if fold.number == 0 else "a block of rows"
+        left = without if fold.over == "time" else ", ".join(f"`{item.label}`" for item in fold.whole.items)
+        note = f"in fold {fold.number}, whose fit is without {left}"
+        raise UserError([replace(one, notes=(*one.notes, note)) for one in error.diagnostics]) from None
     files.write_json(path, record.to_json())
     return record
 

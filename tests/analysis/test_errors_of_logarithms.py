@@ -105,6 +105,7 @@ def test_errors_of_predictions_are_of_logarithms(fitted: tuple[Run, Trajectories
 def test_errors_of_logarithms_are_told_as_relative_errors(size: float, said: str) -> None:
     assert said in str(Errors(40, 14.2, 0.0461, 0.9, True, size))
     assert "rmse 14.2, 0.0461 of their standard deviation, 90 % inside" in str(Errors(40, 14.2, 0.0461, 0.9))
+    assert "rmse 14.2, 90 % inside" in str(Errors(1, 14.2, float("nan"), 0.9))
 
 
 def test_only_errors_of_logarithms_are_marked() -> None:

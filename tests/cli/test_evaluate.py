@@ -83,6 +83,17 @@ def test_from_python_a_result_is_a_frame(place: Path) -> None:
     assert "d nllh/d k1" in str(found)
 
 
+def test_a_condition_without_a_value_in_the_table_is_set(here: Path, document: Run) -> None:
+    (here / "fall.gb").write_text(
+        "model fall\ncondition a = 1\ncondition b = 1\nlearn k = 0.5 in [0.01, 5]\nstate x\ninitial x = a\n"
+        "x' = -k*b*x\nobserve x noise normal(0.1)\n"
+    )
+    (here / "d.csv").write_text("trajectory,t,a,x\none,0,2,\none,1,,0.9\ntwo,0,,\ntwo,1,,0.9\n")
+    made = document("evaluate", "fall.gb", "d.csv", "--set", "a=3", "--set", "b=2")
+    expected = [2 * math.exp(-1), 3 * math.exp(-1)]
+    assert [one["value"] for one in made["simulation"]] == pytest.approx(expected, rel=1e-6)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("bound", "inside"), [(0.0, 1e-4), (1.0, 1 - 1e-4)])
 def test_a_constant_at_its_bound_has_a_derivative(here: Path, document: Run, bound: float, inside: float) -> None:

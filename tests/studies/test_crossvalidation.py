@@ -98,6 +98,20 @@ def test_data_that_cannot_be_divided(trajectories: int, rows: int, over: str, co
     assert caught.value.diagnostics[0].code == "GB821"
 
 
+def test_a_refusal_in_a_fold_says_what_the_fold_leaves_out(tmp_path: Path) -> None:
+    path = tmp_path / "m.gb"
+    path.write_text(
+        "model m\nlearn k = 1 in [0.1, 3] per trajectory ~ lognormal\nstate N\nN' = -k*N\nobserve N noise normal(0.1)\n"
+    )
+    with pytest.raises(UserError) as caught:
+        gbspec.load(path).crossvalidate(table(tmp_path / "t.csv", 3), tmp_path / "out", folds=3, over="time")
+    (found,) = caught.value.diagnostics
+    assert (found.code, found.notes) == (
+        "GB776",
+        ("in fold 0, whose fit is without rows at the start of each trajectory",),
+    )
+
+
 def test_errors_by_hand() -> None:
     points = [Point("1", 0, "N", 1.0, 2.0, 1.0), Point("1", 1, "N", 4.0, 2.0, 1.0), Point("1", 2, "N", 1, math.nan, 1)]
     (found,) = errors(points, {"N": 0.5, "M": 1.0}).values()

@@ -127,7 +127,8 @@ class Errors:
 
     def __str__(self) -> str:
         what = counted(self.n, "measurement that was not used", "measurements that were not used")
-        relative = f", {self.nrmse:.3g} of their standard deviation"
+        # The standard deviation of equal measurements is 0.
+        relative = f", {self.nrmse:.3g} of their standard deviation" if math.isfinite(self.nrmse) else ""
         if self.logarithms:
             size = self.rmse_of_logarithms
             typical = f"error of {100 * size:.2g} %" if size < RELATIVE else f"factor of {math.exp(size):.2g}"

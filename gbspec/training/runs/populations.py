@@ -249,7 +249,7 @@ def _without(objective: Objective, found: PopulationResult, place: int, none: fl
     step = np.zeros(count + len(u))
     step[rest] = -np.linalg.pinv(curvature, hermitian=True) @ objective.gradient(without, found.ridge)[rest]
     moved = objective.at(point.weights + step[:count], u + step[count:], without.z, found.ridge)
-    return float(np.nanmin([without.objective, moved.objective]))
+    return float(np.fmin(without.objective, moved.objective))
 
 
 def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecord]:
