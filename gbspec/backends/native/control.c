@@ -25,6 +25,15 @@ typedef struct {
 static size_t cell_at(const Control *c, int t) { return (size_t)(c->w->who[t] * c->w->data->depth + c->cell[t]); }
 static double whole(const Control *c, int t) { return c->w->data->h[cell_at(c, t)]; }
 
+#if MATRICES
+/* The rows of a group of the Jacobian from the derivatives of their sum, every `stride`-th number of `sums`. */
+static void take_rows(int group, const real *sums, int stride, double *jacobian) {
+    for (int i = 0; i < STATES; i++)
+        for (int j = 0; j < STATES && GROUP[i] == group; j++)
+            jacobian[i * STATES + j] = SEES[i][j] ? sums[j * stride] : 0;
+}
+#endif
+
 /* Resets and doses at the start of a lane's cell. */
 static void enter(Control *c, int t) {
     const Data *d = c->w->data;

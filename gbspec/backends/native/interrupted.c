@@ -35,13 +35,13 @@ static void find_jacobian(Control *c, const Crossing *q, const real *x) {
     real u[INPUTS + 1], now[1] = {R(q->begin)}, out[STATES], ob[STATES], xb[STATES], tb[1], ub[INPUTS + 1];
     double kb[LEARNABLES + 1];
     inputs_within(q, q->begin, u);
-    for (int i = 0; i < STATES; i++) {
-        zero(ob, STATES);
+    for (int g = 0; g < GROUPS; g++) {
         zero(xb, STATES);
-        ob[i] = 1;
+        for (int i = 0; i < STATES; i++) ob[i] = GROUP[i] == g;
         rhs_forward(c->w, 0, x, now, u, out);
         rhs_reverse(c->w, 0, x, now, u, ob, xb, kb, tb, ub);
-        for (int j = 0; j < STATES; j++) c->slopes[0][i * STATES + j] = isfinite(xb[j]) ? xb[j] : 0;
+        for (int j = 0; j < STATES; j++) xb[j] = isfinite(xb[j]) ? xb[j] : 0;
+        take_rows(g, xb, 1, c->slopes[0]);
     }
     freeze(c->w, c->slopes[0]);
 }

@@ -10,7 +10,7 @@ from importlib import resources
 from itertools import pairwise
 from typing import Literal, assert_never
 
-from gbspec.backends.native import delays, events
+from gbspec.backends.native import delays, events, row_groups
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.lookups import table_functions
 from gbspec.backends.native.sections import Equations, Site
@@ -80,12 +80,14 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4,
     )
     numbers = _numbers(model, precision, method, late, [*rhs.sites, *late.sites], observe.sites)
     numbers["MATRIX"] = len(model.states) // blocks
+    controlled = blocks == 1 and _plans(model, precision, method)
     head = [
         *(f"#include <{name}.h>" for name in ("math", "stddef", "stdint", "string")),
         "",
         *(f"#define {name} {value}" for name, value in numbers.items()),
         *_tableau(method),
         *_sites([*rhs.sites, *late.sites, *observe.sites]),
+        *(row_groups.declared(balances) if controlled and isinstance(method, RosenbrockW) else []),
         "",
         *declarations(),
         "",
@@ -99,7 +101,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4,
     # Only least-squares fits need the Jacobian, and they run in double precision.
     jacobian = "sensitivities" if model.delays else "jacobian"
     after += ["trained", jacobian] if precision == "float64" else []
-    if blocks == 1 and _plans(model, precision, method):
+    if controlled:
         after += ["control", "interrupted" if model.events else "side_by_side"]
     own = [*_equations(model, rhs, observe), *late.lines, *events.functions(model, _places(RHS_PLACES))]
     parts = [*map(_text, before), *table_functions(model.tables), *own, *map(_text, after)]

@@ -21,16 +21,14 @@ static void find_slopes(Control *c) {
     for (int t = 0; t < TILE; t++) all = all && (c->known[t] || !c->going[t]);
     if (all) return;
     copy_first_block(c->w, 0);
-    for (int i = 0; i < STATES; i++) {
-        if (i) copy_first_block(c->w, 1);
-        zero(ob, STATES * TILE);
+    for (int g = 0; g < GROUPS; g++) {
+        if (g) copy_first_block(c->w, 1);
         zero(xb, STATES * TILE);
-        for (int t = 0; t < TILE; t++) ob[i * TILE + t] = 1;
+        for (int i = 0; i < STATES * TILE; i++) ob[i] = GROUP[i / TILE] == g;
         invariant_start(c->w);
         rhs_reverse(c->w, 0, c->x, c->time, c->inputs, ob, xb, kb, tb, ub);
         for (int t = 0; t < TILE; t++)
-            for (int j = 0; j < STATES; j++)
-                if (!c->known[t]) c->slopes[t][i * STATES + j] = xb[j * TILE + t];
+            if (!c->known[t]) take_rows(g, xb + t, TILE, c->slopes[t]);
     }
     for (int t = 0; t < TILE; t++) c->known[t] = 1;
 }
