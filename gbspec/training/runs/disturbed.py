@@ -38,6 +38,7 @@ from gbspec.training.recipe import (
 from gbspec.training.runs import certainties as of_squares
 from gbspec.training.runs import summary
 from gbspec.training.runs.small_noise import said_of_small_noises
+from gbspec.training.runs.spread_below_zero import said_of_spreads
 from gbspec.training.runs.summary import MemberResult
 
 OBJECTIVE = "likelihood of innovations (Kalman filter)"
@@ -98,6 +99,7 @@ def summarise(
         left=[
             *stiff_as_learned(context, problem, parameters, theta, 1.0, engine.row_states(found)[0]),
             *said_of_small_noises(engine, found, vector, told),
+            *said_of_spreads(engine, found),
         ],
     )
 
