@@ -90,7 +90,31 @@ def test_stiff_solutions_are_within_the_tolerance(rtol: float) -> None:
     assert np.abs(found / problem.packed.values - 1).max() < 10 * rtol
 
 
-CASES: dict[str, tuple[str, Any]] = {"inputs": (EVERYTHING, everything_data), "doses": (MANY, many_data)}
+GRID = """model grid
+time t from 0
+state s[1..7] = 0
+learn k = 3 in [0.1, 30]
+unknown f(x) by mlp(4)
+s[i]' = k*(s[i-1] - 2*s[i] + s[i+1]) - f(s[i])
+s[0] = 1
+s[8] = 0
+initial s[i] = 0
+observe near = s[2]
+observe far = s[6]
+"""
+
+
+def grid_data() -> Trajectories:
+    times = np.array([0.3, 1.0, 2.5])
+    items = [trajectory(str(i), 0.0, times, 0.1 * np.outer(times, [i + 2.0, 1.0]), []) for i in range(3)]
+    return Trajectories(tuple(items), ("near", "far"))
+
+
+CASES: dict[str, tuple[str, Any]] = {
+    "inputs": (EVERYTHING, everything_data),
+    "doses": (MANY, many_data),
+    "grid": (GRID, grid_data),
+}
 
 
 @pytest.mark.parametrize("case", CASES)
