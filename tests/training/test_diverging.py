@@ -37,6 +37,17 @@ learn a = 0 in [-10, 10]
 x' = a - k*x
 observe x
 """
+SEARCH = """\
+model unemployment
+input v in [0.5, 6] held
+state u in [1, 15]
+learn s in [0.001, 0.2] = 0.02
+learn m in [0.01, 2] = 0.3
+learn a in [0, 1] = 0.5
+u' = s*(100 - u) - m*u^a*v^(1 - a)
+initial u = 5
+observe u
+"""
 
 
 def table(path: Path, columns: list[str], rows: np.ndarray) -> Path:
@@ -76,3 +87,30 @@ def residuals_of(times: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray]
         return a / k + (x0 - a / k) * np.exp(-k * times) - values
 
     return residuals
+
+
+def test_a_calm_beginning_does_not_decide_against_the_whole_where_the_start_is_given(tmp_path: Path) -> None:
+    rng, rows = np.random.default_rng(0), 135
+    vacancies = np.round(3 + 1.2 * np.sin(np.arange(rows) / 18) + 0.3 * rng.standard_normal(rows), 2)
+
+    def solved(s: float, m: float, a: float) -> np.ndarray:
+        out, u = [5.0], 5.0
+        for v in vacancies[:-1]:
+            for _ in range(20):
+                u += (s * (100 - u) - m * max(u, 1e-3) ** a * v ** (1 - a)) / 20
+            out.append(u)
+        return np.array(out)
+
+    exact = solved(0.03, 0.8, 0.4)
+    disturbance = 5 + 0.05 * np.arange(rows) - exact
+    for i in range(13, rows):
+        disturbance[i] = 0.97 * disturbance[i - 1] + 0.6 * rng.standard_normal()
+    values = np.maximum(exact + disturbance, 1.0)
+    (tmp_path / "search.gb").write_text(SEARCH)
+    data = table(tmp_path / "data.csv", ["t", "v", "u"], np.column_stack([np.arange(rows), vacancies, values]))
+    fit = gbspec.load(tmp_path / "search.gb").train(data, tmp_path / "run", effort="low").run.fit
+    assert "growing horizons" in [stage.name for stage in fit.members[0].stages]
+    bounds = ([0.001, 0.01, 0.0], [0.2, 2.0, 1.0])
+    best = least_squares(lambda p: solved(*p) - values, [0.03, 0.8, 0.4], bounds=bounds)
+    reached = solved(*(fit.constants[name].value for name in "sma")) - values
+    assert np.sum(reached**2) < 1.02 * np.sum(best.fun**2)

@@ -16,7 +16,7 @@ from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines import predicted, residual_vector
+from gbspec.training.engines import objective, predicted, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State
 from gbspec.training.options import Backend
 from gbspec.training.recipe import growing, whole
@@ -29,6 +29,7 @@ from gbspec.training.stages import StageName
 from gbspec.training.starts.differentiation import determined, slopes, with_derived
 from gbspec.training.starts.splines import fit_curves
 from tests.training.conftest import model_of
+from tests.training.reference import whole_jacobian
 
 DRIVE = """
 model drive
@@ -94,9 +95,26 @@ def test_later_segments_have_only_their_own_doses() -> None:
     assert [part.doses[0].amounts.tolist() for part in parts.items] == [[1.0, 2.0], []]
 
 
-def test_a_model_that_gives_initial_values_has_only_beginnings() -> None:
+def test_a_model_with_delays_has_only_beginnings() -> None:
     assert divisible(model_of(DRIVE))
-    assert not divisible(model_of(DRIVE.replace("observe q", "initial v = 0\nobserve q")))
+    assert not divisible(model_of(DRIVE.replace("q' = v", "q' = delay(v, 0.5)")))
+
+
+@pytest.mark.parametrize("given", ["initial v = 0", "initial v = 0.2*m", "initial steady", "initial v steady"])
+def test_later_segments_do_not_start_at_values_that_the_model_gives(given: str) -> None:
+    text = DRIVE.replace("state v", "state v in [-3, 3]").replace("friction)", "friction - q - 5*v)")
+    text = text.replace("observe q", f"{given}\nobserve q")
+    context = context_of(model_of(text), drive_data())
+    whole = context.parameters(context.module.weights, released=True)
+    theta = whole.vector(context.module.weights)
+    states = Segments.of(context, whole, 200).states(theta)
+    many = Segments.of(context, whole, 25)
+    vector = many.vector(theta, states)
+    assert np.allclose(many.states(vector)[0], states[0], atol=1e-10)
+    direction = np.random.default_rng(0).standard_normal(len(vector)) * many.parameters.free
+    dense = whole_jacobian(objective.linearise(many.engine, vector), many.parameters).numpy()
+    ahead, behind = (residual_vector(many.engine, vector + step * direction) for step in (1e-6, -1e-6))
+    assert np.allclose(dense @ direction, (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-6)
 
 
 def test_horizons_grow_from_a_visible_change_to_whole_trajectories() -> None:

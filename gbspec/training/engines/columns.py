@@ -20,7 +20,7 @@ from gbspec.arrays import Array
 from gbspec.ir import Model, symbol
 from gbspec.training.engines.arithmetic import observe_rows
 from gbspec.training.engines.linearised import Observed
-from gbspec.training.engines.starting import initial_states
+from gbspec.training.engines.starting import initial_states, steady_rows
 from gbspec.training.problem import STRETCH, Parameters, Problem
 
 Taped = list[tuple[int, int, Tensor, Tensor]]
@@ -104,9 +104,11 @@ class Columns:
         problem = self.problem
         if all(starts_of_data(problem.model)):
             shape = len(self.parameters.start_value), self.n_states
-            known = [state.initial.known for state in problem.model.states]
-            free = self.tensor(np.diag(1.0 - np.array(known, dtype=np.float64))).to(self.vector.dtype)
-            return [free.expand(*shape, -1), *(self.zeros(shape) for _ in range(self.constants.shape[1]))], None
+            known = np.array([state.initial.known for state in problem.model.states], dtype=bool)
+            free = np.ones(shape)
+            free[np.ix_(self.parameters.given, known)] = 0.0
+            by_start = self.tensor(free).to(self.vector.dtype).diag_embed()
+            return [by_start, *(self.zeros(shape) for _ in range(self.constants.shape[1]))], None
         tape: Taped = []
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
@@ -115,12 +117,15 @@ class Columns:
         constants = torch.stack(k, 1) if k else self.zeros((len(x0), 0))
         out = initial_states(problem, self.parameters, self.vector, x0, constants, networks)
         weights = self.zeros((len(x0), out.shape[1], self.shared)) if tape and not self.only_local else None
+        called = steady_rows(problem, self.parameters, self.constants)
         rows = []
         for i in range(out.shape[1]):
             grads = gradients(out[:, i].sum(), [x0, *k, *(z for *_, z in tape)])
             rows.append(grads[: 1 + len(k)])
             if weights is not None:
-                self._add_weights(weights[:, i], tape, grads[1 + len(k) :])
+                own = self.zeros((len(called), self.shared))
+                self._add_weights(own, tape, grads[1 + len(k) :])
+                weights[called, i] = own
         found = [torch.stack([row[j] for row in rows], 1).detach() for j in range(1 + len(k))]
         return found, None if weights is None else weights.detach()
 

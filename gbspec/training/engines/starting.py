@@ -31,9 +31,33 @@ def initial_or_failure(
     problem: Problem, parameters: Parameters, vector: Tensor, x0: Tensor, constants: Tensor, networks: Networks
 ) -> tuple[Tensor, dict[int, tuple[str, str]]]:
     """The same, with the state and the reason of each trajectory that has no steady state."""
-    module, packed = problem.module, problem.packed
+    rows = parameters.given
+    if len(rows) == len(x0):
+        return _as_given(problem, parameters, vector, x0, constants, networks)
+    which = torch.from_numpy(rows).to(x0.device)
+    start, failed = _as_given(problem, parameters, vector, x0[which], constants[which], networks)
+    return x0.index_copy(0, which, start), {int(rows[row]): why for row, why in failed.items()}
+
+
+def steady_rows(problem: Problem, parameters: Parameters, constants: Tensor) -> Tensor:
+    """The trajectories that start in a steady state: networks are called for these alone."""
+    rows, packed = parameters.given, problem.packed
+    which = torch.from_numpy(rows).to(constants.device)
+    if problem.model.steady is None:
+        return which[:0]
+    condition, inputs = constants.new_tensor(packed.condition[rows]), constants.new_tensor(first_inputs(packed)[rows])
+    arithmetic, k = torch_arithmetic(problem.module), constants[which].unbind(1)
+    chosen = torch.as_tensor(problem.module.equations.steady(arithmetic, condition, inputs, k)[3])
+    return which[chosen.to(which.device).expand(len(rows)) > 0]
+
+
+def _as_given(
+    problem: Problem, parameters: Parameters, vector: Tensor, x0: Tensor, constants: Tensor, networks: Networks
+) -> tuple[Tensor, dict[int, tuple[str, str]]]:
+    """The initial states of the trajectories that start as the model says, `x0` and `constants` being theirs alone."""
+    module, packed, rows = problem.module, problem.packed, parameters.given
     k = constants.unbind(1)
-    condition = x0.new_tensor(packed.condition)
+    condition = x0.new_tensor(packed.condition[rows])
     start: Tensor = module.equations.initial(torch_arithmetic(module), x0, condition, k)
     if problem.model.steady is None:
         return start, {}
@@ -48,7 +72,7 @@ def initial_or_failure(
                 _FOUND.popitem(last=False)
         return _FOUND[key][2]
 
-    inputs = start.new_tensor(first_inputs(packed))
+    inputs = start.new_tensor(first_inputs(packed)[rows])
     return steady_starts(module, start, condition, inputs, k, networks, search)
 
 

@@ -30,8 +30,10 @@ class Parameters:
     """Layout and scales of the trainable vector for N trajectories of a model.
 
     `start_value` [N, n_states] and `start_scale` [n_states]: a learned initial state is
-    `start_value + STRETCH * start_scale * u`; `start_free` [N, n_states] is 1 for learned ones. `fixed` are the
-    arrays of the weights file that training does not change (the networks' scales).
+    `start_value + STRETCH * start_scale * u`; `start_free` [N, n_states] is 1 for learned ones. Where that is so of a
+    state whose initial value the model gives, all states of the trajectory start at the values of this table, as those
+    of a later segment do. `fixed` are the arrays of the weights file that training does not change (the networks'
+    scales).
     """
 
     model: Model
@@ -104,6 +106,12 @@ class Parameters:
         local = out[self.n_shared :].reshape(self.trajectories, self.n_local)
         local[:, len(self.own) :] = self.start_free
         return out
+
+    @cached_property
+    def given(self) -> Integers:
+        """The trajectories that start as the model says; others start at values of their own."""
+        known = np.array([state.initial.known for state in self.model.states], dtype=bool)
+        return np.flatnonzero(~(self.start_free[:, known] > 0).any(axis=1))
 
     def bijections(self, indices: tuple[int, ...]) -> Bijections:
         """Bounds of some of the learnables; of those of single trajectories, what their distributions allow."""

@@ -11,7 +11,7 @@ from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, scalar
 from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.recipe.context import Context
-from gbspec.training.recipe.segments import GROWTH, Segments, horizons
+from gbspec.training.recipe.segments import GROWTH, Segments, divisible, horizons
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts import refit_starts
 
@@ -41,8 +41,9 @@ class GrowingHorizons:
     The next starting vector is tried where whole solutions do not follow the data; in some attempts large residuals
     are limited in the first iterations with segments of each length, before least squares. Of the vectors reached with
     segments of any length the one with the smallest product of two losses, neither of them limited, is kept: of the
-    shortest segments, and of whole solutions. Where noise alone separates solutions from the data, that is the last
-    one; where the system itself is disturbed, long segments distort the dynamics that short ones show.
+    shortest segments, and of whole solutions; where segments can only be beginnings, the one with the smallest loss of
+    whole solutions. Where noise alone separates solutions from the data, that is the last one; where the system itself
+    is disturbed, long segments distort the dynamics that short ones show.
     """
 
     name = StageName.HORIZONS.value
@@ -96,7 +97,9 @@ class GrowingHorizons:
     def _scored(self, theta: Array) -> State:
         """The entries of the state for the best vector, with the product of its losses."""
         short, whole = self.losses(theta)
-        score = short * whole if np.isfinite([short, whole]).all() else np.inf
+        # Beginnings alone do not show the dynamics of the whole.
+        score = short * whole if divisible(self.context.model) else whole
+        score = score if np.isfinite([short, whole]).all() else np.inf
         return {"score": np.array(score), "short": np.array(short), "loss": np.array(whole), "best": theta}
 
     def _after_horizon(self, state: State, horizon: int, outcome: Outcome) -> Outcome:

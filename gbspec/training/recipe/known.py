@@ -20,7 +20,7 @@ from gbspec.training.problem import Parameters
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.growing import AS_SEGMENTS, FOLLOWED, ITERATIONS, GrowingHorizons
 from gbspec.training.recipe.planned import Decision, Planned, Reached
-from gbspec.training.recipe.segments import Segments, horizons
+from gbspec.training.recipe.segments import Segments, divisible, horizons
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts import PATIENCE, WITH_STARTS, Search, followed
 
@@ -83,7 +83,8 @@ class Farthest(GrowingHorizons):
         """What the user has to know where segments are all that was followed."""
         if np.array_equal(state["best"], self.present) or scalar(state, "loss") < FOLLOWED:
             return ""
-        return ONLY_SEGMENTS.format(rows=int(scalar(state, "reach")) or self.horizons[0])
+        said = ONLY_SEGMENTS if divisible(self.context.model) else ONLY_BEGINNINGS
+        return said.format(rows=int(scalar(state, "reach")) or self.horizons[0])
 
 
 @dataclass(frozen=True)
@@ -192,4 +193,9 @@ ONLY_SEGMENTS = (
     "whole solutions were not followed from any start: the constants are those of segments with initial states of "
     "their own, of at most {rows} intervals between rows; to have intervals and a fit that comes to rest, cut the "
     "trajectories into such pieces"
+)
+ONLY_BEGINNINGS = (
+    "whole solutions were not followed from any start: the constants are those of the first {rows} intervals between "
+    "rows of each trajectory, where solutions follow the data; to have intervals and a fit that comes to rest, fit "
+    "these rows alone"
 )

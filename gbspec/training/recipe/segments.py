@@ -5,8 +5,8 @@ blows up. The solutions of short segments do not; yet, other than the intervals 
 for an unmeasured state, or slow dynamics, to show in the measurements (Bock 1983; Ribeiro and others 2020). Initial
 states of segments are free and not tied to each other.
 
-Where the model gives an initial value by an expression, or has delays, or doses have a lag, only the beginnings of the
-trajectories are used: what precedes a later segment cannot be replaced by its initial state.
+Where the model has delays, or doses have a lag, only the beginnings of the trajectories are used: what precedes a later
+segment cannot be replaced by its initial state.
 """
 
 from __future__ import annotations
@@ -75,18 +75,18 @@ def cut(trajectories: Trajectories, rows: int, everywhere: bool) -> tuple[Trajec
 
 def _part(item: Trajectory, low: int, high: int) -> Trajectory:
     """Rows `low` to `high` of a trajectory, from its start if `low` is 0."""
+    run_in = None if low else item.run_in
     start = item.start if low == 0 else float(item.times[low])
     doses = tuple(
         replace(d, times=d.times[d.times >= start], amounts=d.amounts[d.times >= start]) if low else d
         for d in item.doses
     )
-    return replace(item.at_rows(slice(low, high)), start=start, doses=doses)
+    return replace(item.at_rows(slice(low, high)), start=start, doses=doses, run_in=run_in)
 
 
 def divisible(model: Model) -> bool:
     """Whether a segment can begin at any row."""
-    expressed = any(state.initial.known for state in model.states)
-    return not expressed and not model.delays and all(dose.lag == 0 for dose in model.doses)
+    return not model.delays and all(dose.lag == 0 for dose in model.doses)
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,7 @@ class Segments:
                 if curve is not None:
                     value[segment, state] = curve.extended(at)[0]
         absent = context.absent[owner]
+        free[(first > 0)[:, None] & ~absent] = 1.0  # what the model gives are the starts of first segments
         value[absent] = 0.0
         own = replace(context, trajectories=data, start_value=value, start_free=free, absent=absent, _packed={})
         parameters = replace(whole, start_value=value, start_free=free)
