@@ -156,3 +156,4 @@ def test_the_likelihood_of_replicates_is_that_of_rows_of_their_own(tmp_path: Pat
     assert found[0].bic == pytest.approx(found[1].bic, abs=1e-3)
     at = [gbspec.open_run(tmp_path / name).evaluate(tmp_path / f"{name}.csv") for name in ("replicates", "rows")]
     assert at[0].nllh == pytest.approx(at[1].nllh, abs=1e-3)
+    assert replicates.noise["y"] == pytest.approx(rows.noise["y"], rel=1e-3), "that of a single measurement"

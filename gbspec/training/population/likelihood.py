@@ -180,6 +180,10 @@ class Likelihood:
             out = out.index_add(0, rows, single_variance(model, channel, f, known))
         return torch.clamp(out * self.share + self.extra + 0 * mean, min=LEAST)
 
+    def single(self, variance: Tensor) -> Tensor:
+        """The variances [m] of single measurements where those of the values, which may be averages, are `variance`."""
+        return (variance - self.extra) / self.share + self.extra
+
     def joint(self, of: Compared, z: Tensor) -> Tensor:
         """g [N]."""
         terms = LOG_2PI + torch.log(of.variance) + of.residual**2 / of.variance

@@ -55,7 +55,8 @@ class PopulationResult:
     """The result at a point; arrays are those of `Measured` and of the distributed constants, in their order.
 
     `individual` [N, q] and `individual_sd` the constants of each trajectory; `deviations` [N, width] in units of the
-    spreads, those of levels last, and their `shrinkage` [width]; `table` [m, ...] by name: the population's and the
+    spreads, those of levels last, and their `shrinkage` [width]; `noise` [m] is the standard deviation of a single
+    measurement, also where a value is an average; `table` [m, ...] by name: the population's and the
     trajectory's own predictions, and residuals. `used` is the number of parameters, of weights the effective one.
     `exact` is -2 log L by Laplace's method with the exact inner Hessian, NaN where that is not positive definite.
     `shared` is the covariance of weights and constants; None where it is not known. `loosened`, where parameters ended
@@ -113,7 +114,7 @@ def result_at(
         spread,
         deviations,
         _shrinkage(likelihood.groups, deviations),
-        np.sqrt(of.variance.numpy()),
+        np.sqrt(likelihood.single(of.variance).numpy()),
         _table(objective, point, of),
         used + len(point.u),
         objective.marginal.by_exact_hessian(point.u, weights, point.z) if maximum else np.nan,
