@@ -21,6 +21,8 @@ from gbspec.ir.model import Model
 
 LEAST = 1e-12
 """States that must be positive are not taken below this where data or guesses are not; nor shares nearer to a bound."""
+WELL = 0.01
+"""A start that has no coordinate is moved inside by this part of the state's typical size."""
 Function = Callable[[Any], Any]
 
 
@@ -70,6 +72,15 @@ class Coordinate:
             return x
         least = LEAST if self.high is None else LEAST * (self.high - self.low)
         return np.clip(x, self.low + least, None if self.high is None else self.high - least)
+
+    def well_inside(self, x: Array, size: Array) -> Array:
+        """States, with those that have no coordinate moved inside by `WELL` of their size, or of the range: the spread
+        of a logarithm that begins at next to nothing would be that of all numbers."""
+        if self.low is None:
+            return x
+        least = WELL * (size if self.high is None else (self.high - self.low) * np.ones_like(x))
+        moved = np.where(x > self.low, x, self.low + least)
+        return moved if self.high is None else np.where(moved < self.high, moved, self.high - least)
 
     def spread(self, x: Array, size: Array, least: float) -> Array:
         """`Coordinates.spreads` for one state: a logarithm has the standard deviation of that of a lognormal value, a

@@ -105,3 +105,31 @@ def test_a_start_whose_iterations_fail_gives_way_to_the_others(tmp_path: Path, m
     lost += [np.concatenate([each, first[len(each) :]]) for each in state["waiting"]] + list(state["waiting"])
     with pytest.raises(ComputationError):
         fit.step(state, 0)
+
+
+GROWING = """model growing
+time t from 0
+state N in {} = 2
+{}learn r = 0.8 in [0.1, 2]
+N' = r*N*(1 - N/10)
+diffusion N = 0.15*{}
+observe N noise {}
+"""
+
+
+@pytest.mark.parametrize("learned", ["", "initial N learn\n"])
+@pytest.mark.parametrize(
+    ("bounds", "size", "noise", "first"),
+    [
+        ("[0, 20]", "N", "lognormal(0.02)", "0.5,0.36"),  # extended to the start, the curve is below zero
+        ("[0, 20]", "N", "normal(0.1)", "0,0"),
+        ("[0, 12]", "N*(12 - N)/12", "normal(0.1)", "0,-0.1"),
+    ],
+)
+def test_starts_without_a_logarithm_or_logit_are_moved_inside(
+    tmp_path: Path, learned: str, bounds: str, size: str, noise: str, first: str
+) -> None:
+    later = "1,0.508\n1.5,0.753\n2,1.138\n2.5,1.923\n3,2.863\n3.5,3.798\n4,4.027\n4.5,4.325\n5,6.604\n"
+    text = GROWING.format(bounds, learned, size, noise)
+    engine, vector = engine_of(tmp_path, text, f"t,N\n{first}\n{later}")
+    assert np.isfinite(engine.value(vector))

@@ -21,8 +21,10 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.expected import ROUNDING, certainty_of
+from gbspec.training.optimise.inner import inner
 from gbspec.training.optimise.lost import not_finite
-from gbspec.training.optimise.near_none import near_none
+from gbspec.training.optimise.maximum import likeliest
+from gbspec.training.optimise.near_none import higher, near_none
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.released import released
 from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
@@ -122,7 +124,8 @@ class InnovationsFit:
     def going_on(self, vector: Array) -> State:
         """The state at a vector of the likelihood as the only one to begin from."""
         alone = {"waiting": np.zeros((0, len(vector))), "best": np.zeros(0), "best_value": np.array(np.inf)}
-        return self._begun(vector) | alone | {"left": np.array(float(self.total)), "smaller": np.array(1.0)}
+        tried = {"smaller": np.array(1.0), "inner": np.zeros(0)}
+        return self._begun(vector) | alone | {"left": np.array(float(self.total))} | tried
 
     def _begun(self, vector: Array) -> State:
         """The state at a vector of the likelihood."""
@@ -208,9 +211,9 @@ class InnovationsFit:
 
     def _rested(self, state: State, outcome: Outcome, iteration: int) -> Outcome:
         """An iteration of the best start. Where it rests, constants at bounds may be released, and smaller disturbances
-        are tried once; where the fit with unknown functions does, one in which these are constants follows, whose state
-        is kept beside that of the fit."""
-        onward = (self._released(state) or self._with_smaller(state)) if outcome.done else None
+        and other values of constants at bounds are tried once; where the fit with unknown functions does, one in which
+        these are constants follows, whose state is kept beside that of the fit."""
+        onward = (self._released(state) or self._with_smaller(state) or self._inside(state)) if outcome.done else None
         if onward is not None:
             return Outcome(onward, outcome.loss, False)
         weights = self.engine.parameters.n_weights
@@ -247,6 +250,18 @@ class InnovationsFit:
             return None
         vector = near_none(self.engine, np.concatenate([state["theta"], state["log_sd"]]))
         return None if vector is None else {**state, **self._begun(vector), "smaller": np.array(1.0)}
+
+    def _inside(self, state: State) -> State | None:
+        """The state at a higher maximum where constants are inside that rest at bounds; None if there is none, or if
+        they were tried. Where the restricted likelihood leads away to a lower one, sizes stay the likeliest ones."""
+        vector, tried = np.concatenate([state["theta"], state["log_sd"]]), "inner" in state
+        found = state["inner"] if tried else inner(self.engine, vector)
+        if found is None or not len(found):
+            return None
+        if tried and not higher(self.engine, likeliest(self.engine, found), vector):
+            return None
+        more: State = {"inner": np.zeros(0), "likeliest": np.array(1.0)} if tried else {"inner": found}
+        return {**state, **self._begun(found), **more}
 
     def _compared(self, state: State, iteration: int) -> Outcome:
         """An iteration of the fit with constant functions; at its end the fit with the smaller criterion is kept."""
@@ -331,12 +346,11 @@ class InnovationsFit:
         return Outcome(new, found.value / count, small >= 2)
 
     def _restricted(self, state: State, system: _System, vector: Array, ridge: float) -> Restricted:
-        """The restricted likelihood's term at a vector: that of the state while it fits."""
+        """The restricted likelihood's term at a vector: that of the state while it fits, or where it is left out."""
         engine, term = self.engine, _restored(state)
         at = np.append(vector[self._sizes], np.log(max(ridge, 1e-300)))
-        if term.fits(at):
+        if "likeliest" in state or term.fits(at):
             return term
-
         return Restricted(slope(engine, self._sizes, vector, system.found, system.matrix), at, 0)
 
     def _move(self, system: _System, damping: float, vector: Array) -> Array:

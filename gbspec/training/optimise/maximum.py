@@ -35,16 +35,23 @@ class Likeliest:
     found: Filtered
     value: float
 
+    @property
+    def compared(self) -> float:
+        """The value as one of several; infinite where there is no solution."""
+        return self.value if np.isfinite(self.value) else float("inf")
 
-def likeliest(engine: FilterEngine, vector: Array, found: Filtered | None = None, held: int | None = None) -> Likeliest:
+
+def likeliest(
+    engine: FilterEngine, vector: Array, found: Filtered | None = None, held: int | None = None, steps: int = STEPS
+) -> Likeliest:
     """The maximum of the likelihood, with the priors of constants, near a vector; `found` is the filter there. Weights
-    of networks stay, as does the entry that is `held`, and what is at a bound."""
+    of networks stay, as does the entry that is `held`, and what is at a bound. With fewer `steps` it is on its way."""
     parameters, least = engine.parameters, engine.noise.least()
     priors = _priors(engine)
     start = engine.filtered(vector) if found is None else found
     now = Likeliest(vector, start, start.value + priors.penalty(vector[: parameters.size]))
     damping = FIRST
-    for _ in range(STEPS if start.finite else 0):
+    for _ in range(steps if start.finite else 0):
         gradient, matrix = _with_priors(engine, priors, now)
         moving = np.where(np.diag(matrix) > 10 * FLAT, engine.layout.free, 0.0)
         moving[: parameters.n_weights] = 0.0

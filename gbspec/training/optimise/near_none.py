@@ -28,15 +28,11 @@ HIGHER = 0.5
 def near_none(engine: FilterEngine, vector: Array) -> Array | None:
     """A vector [size] near a higher maximum of the likelihood than that near `vector`, with smaller disturbances; None
     if none was found, and for models with networks or without learned sizes."""
-    parameters, all_sizes = engine.parameters, sizes(engine)
-    entries = all_sizes[(all_sizes < parameters.size) & (engine.layout.free[all_sizes] > 0)]
-    if parameters.n_weights or not len(entries):
+    entries = _learned(engine)
+    if engine.parameters.n_weights or not len(entries):
         return None
-    starts = [_scaled(engine, vector, entries, part) for part in NONE]
-    for start in starts:  # where disturbances explain all, learned noises have gone to nothing
-        start[parameters.size :] = np.maximum(start[parameters.size :], engine.noise.first())
-    finite = next((start for start in starts if np.isfinite(engine.value(start))), None)
-    if finite is None or not (first := likeliest(engine, finite)).found.finite:
+    start = undisturbed(engine, vector)
+    if start is None or not (first := likeliest(engine, start)).found.finite:
         return None
     found = [first]
     grown = [_scaled(engine, found[0].vector, entries, factor) for factor in LARGER]
@@ -44,12 +40,31 @@ def near_none(engine: FilterEngine, vector: Array) -> Array | None:
     best = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
     if values[best] < found[0].found.value:
         found.append(likeliest(engine, grown[best]))
-    highest = min(found, key=_value)
-    return highest.vector if _value(highest) < _value(likeliest(engine, vector)) - HIGHER else None
+    highest = min(found, key=lambda one: one.compared)
+    return highest.vector if higher(engine, highest, vector) else None
 
 
-def _value(point: Likeliest) -> float:
-    return point.value if np.isfinite(point.value) else float("inf")
+def higher(engine: FilterEngine, one: Likeliest, vector: Array) -> bool:
+    """Whether a maximum is higher than that near a vector, by more than `HIGHER`."""
+    return one.compared < likeliest(engine, vector).compared - HIGHER
+
+
+def undisturbed(engine: FilterEngine, vector: Array) -> Array | None:
+    """The vector [size] with next to no disturbances, and learned noises no smaller than those a fit begins with: where
+    disturbances explain all, these have gone to nothing. None if there is no solution, or no learned size."""
+    entries, size = _learned(engine), engine.parameters.size
+    for part in NONE if len(entries) else ():
+        start = _scaled(engine, vector, entries, part)
+        start[size:] = np.maximum(start[size:], engine.noise.first())
+        if np.isfinite(engine.value(start)):
+            return start
+    return None
+
+
+def _learned(engine: FilterEngine) -> Integers:
+    """The entries that are learned sizes of disturbances."""
+    found = sizes(engine)
+    return found[(found < engine.parameters.size) & (engine.layout.free[found] > 0)]
 
 
 def _scaled(engine: FilterEngine, vector: Array, entries: Integers, factor: float) -> Array:
@@ -61,4 +76,4 @@ def _scaled(engine: FilterEngine, vector: Array, entries: Integers, factor: floa
     return out
 
 
-__all__ = ["near_none"]
+__all__ = ["higher", "near_none", "undisturbed"]

@@ -10,7 +10,7 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule, load_module
 from gbspec.data import Estimated, Scales, Trajectories, absent_channels, absent_states, scales_of
-from gbspec.ir import METHODS, Method, Model, RosenbrockW, linear_in_states
+from gbspec.ir import METHODS, Method, Model, RosenbrockW, coordinates_of, linear_in_states
 from gbspec.passes import Switched, with_switches
 from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
@@ -210,6 +210,8 @@ def build_context(
     packed = pack(kept, model, max_step, method=method).without(absent_channels(model, absent))
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
+    for i, each in enumerate(coordinates_of(model)):
+        value[:, i] = each.well_inside(value[:, i], state_scale[i])
     value[absent], free[absent] = 0.0, 0.0
     context = Context(
         model,

@@ -46,8 +46,9 @@ def constant_record(
     within = np.array([r.sd[learnable.name] for r in results])
     center, sd, interval = _estimate(learnable, values, within, half_width(results))
     by_likelihood = [r.intervals[learnable.name] for r in results if learnable.name in r.intervals]
-    if by_likelihood and interval is not None:  # of one member: its own; of several at least what either says
-        lows, highs = zip(*by_likelihood, *([interval] if len(results) > 1 else []), strict=True)
+    if by_likelihood and (interval is not None or len(by_likelihood) == len(results)):
+        # Of one member its own; of several at least what either says. A size at next to none has no deviation.
+        lows, highs = zip(*by_likelihood, *([interval] if interval and len(results) > 1 else []), strict=True)
         interval = min(lows), max(highs)
     return ConstantRecord(center, sd, interval, learnable.start, tuple(map(float, values)), own)
 
@@ -317,7 +318,8 @@ def unsettled(
     shared = {name: record for name, record in constants.items() if record.per_trajectory is None}
     told = " ".join(text for one in results.values() for text in (*one.tied, *one.notes) if "no interval" in text)
     at_ends = {name for _, name, _ in ended}
-    found = [n for n, one in shared.items() if one.sd is None and n not in at_ends and f"`{n}`" not in told]
+    unknown = [n for n, one in shared.items() if one.sd is None and one.interval is None]
+    found = [n for n in unknown if n not in at_ends and f"`{n}`" not in told]
     if all(record.sd is None for record in shared.values()):
         return own
     unseen = named_inseparable(model) if found and model is not None else set()  # more steps would not help

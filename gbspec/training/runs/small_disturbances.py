@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir import Model
+from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90
 from gbspec.training.engines import FilterEngine
 from gbspec.training.optimise import likeliest, restricted_value, sizes
@@ -30,8 +30,9 @@ DOUBTFUL = 1 / 3.5
 TOLD = NORMAL_90**2
 """A disturbance is told apart from none where -2 log likelihood (restricted) is higher by more without it: the 95 %
 point, as a size cannot be negative (Self and Liang 1987). At the upper end of its interval it is higher by that."""
-WIDER, GROWTHS, STEPS = 2.0, 10, 4
-"""The factor by which larger sizes are tried, how often, and how often the upper end is then interpolated."""
+WIDER, STEEPER, GROWTHS, STEPS = 2.0, 5, 10, 4
+"""The factor by which larger sizes are tried, its third power after so many (a size may have ended at next to none),
+how many there are, and how often the upper end is then interpolated."""
 
 
 @dataclass
@@ -59,14 +60,14 @@ class _Sizes:
         """The size above a value at which -2 log likelihood is higher by `TOLD` than at its minimum; the upper bound if
         there is none."""
         before: tuple[float, float] | None = None
-        for _ in range(GROWTHS):
+        for tried in range(GROWTHS):
             found, after = self.at(value, near)
             if found - self.least > TOLD:
                 return value if before is None else self._between(before, (value, found), near)
             if value >= bound:
                 break
             before, near = (value, found), after
-            value = min(WIDER * value, bound)
+            value = min((WIDER if tried < STEEPER else WIDER**3) * value, bound)
         return bound
 
     def _between(self, inner: tuple[float, float], outer: tuple[float, float], near: Array) -> float:
@@ -106,7 +107,9 @@ def without_disturbances(
         name, low = learnable.name, max(learnable.range.low, 0.0)
         value, sd = result.constants[name], result.sd.get(name, math.nan)
         none = max(NONE * value, low)
-        if learnable.range.low < 0 or not sd > DOUBTFUL * value or not none <= LARGEST * value:
+        # Of one at next to none the curvature, and with it the deviation, is lost in rounding.
+        doubtful = sd > DOUBTFUL * value or (math.isnan(sd) and any(map(math.isfinite, result.sd.values())))
+        if learnable.range.low < 0 or not doubtful or not none <= LARGEST * value:
             continue
         if Bijection.of(learnable).ended_at(value, sd) is not None:
             continue
@@ -116,18 +119,19 @@ def without_disturbances(
         if rise < TOLD and math.isfinite(here):
             interval = low, held.upper(value, near, learnable.range.high)
             result.intervals[name] = interval
-            out.append(_sentence(model, name, (value, none), max(rise, 0.0), interval))
+            out.append(_sentence(model, learnable, (value, none), max(rise, 0.0), interval))
     return out
 
 
-def _sentence(model: Model, name: str, sizes: tuple[float, float], rise: float, interval: tuple[float, float]) -> str:
+def _sentence(
+    model: Model, learnable: Learnable, sizes: tuple[float, float], rise: float, interval: tuple[float, float]
+) -> str:
+    name, high = learnable.name, learnable.range.high
     inside = [one.state for one in model.diffusions if name in {symbol.name for symbol in one.value.free_symbols}]
     states = " and ".join(f"`{state}`" for state in inside)
-    upper = (
-        f"its upper end, {interval[1]:.3g}, is where it is higher by 2.7"
-        if math.isfinite(interval[1])
-        else "the data do not bound it above"
-    )
+    upper = f"its upper end, {interval[1]:.3g}, is where it is higher by 2.7"
+    if interval[1] >= high:
+        upper = "the data do not bound it above" + f": its upper end is its bound, {high:.3g}" * math.isfinite(high)
     return (
         f"the disturbance of {states}, `{name}` = {sizes[0]:.3g}, is not told apart from none by these data: with "
         f"{sizes[1]:.2g} in place of it, and all else refitted, -2 log likelihood (restricted) is higher by "

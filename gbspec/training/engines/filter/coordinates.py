@@ -51,6 +51,12 @@ class Coordinates:
         parts = [each.of(np.log, each.inside(states[..., i])) for i, each in enumerate(self.each)]
         return np.stack(parts, axis=-1)
 
+    def well_inside(self, states: Array, sizes: Array) -> Array:
+        """States [..., n] with those that have no coordinate moved to where they have one, by a hundredth of their
+        typical sizes, or of the range."""
+        parts = [each.well_inside(states[..., i], sizes[..., i]) for i, each in enumerate(self.each)]
+        return np.stack(parts, axis=-1)
+
     def slopes(self, states: Array) -> Array:
         """The derivatives of coordinates by states [..., n]."""
         parts = [each.slope(each.inside(states[..., i])) for i, each in enumerate(self.each)]

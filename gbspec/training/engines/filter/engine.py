@@ -64,13 +64,15 @@ class FilterEngine:
     def of(cls, problem: Problem, parameters: Parameters) -> FilterEngine:
         """The engine with the default variances: those of states whose starts are neither given nor learned are
         `SPREAD` times their typical size, squared; those of logarithms are of the lognormal distribution with this
-        standard deviation, and at least `SPREAD` squared, those of logits likewise, and at most of a uniform one."""
+        standard deviation, and at least `SPREAD` squared, those of logits likewise, and at most of a uniform one.
+        Starts without a logarithm or logit (a measured zero, or values extended to the start) are moved inside."""
         kinds = np.array([state.initial.kind for state in problem.model.states])
         free = np.where(kinds == "learned", 1.0, 0.0) * np.ones_like(parameters.start_free)
         unknown, coordinates = np.where(kinds == "measured", 1.0, 0.0), Coordinates.of_model(problem.model)
         size = SPREAD * parameters.start_scale * np.ones_like(parameters.start_value)
-        variance = unknown * coordinates.spreads(parameters.start_value, size, SPREAD) ** 2
-        return cls(problem, replace(parameters, start_free=free), variance)
+        value = coordinates.well_inside(parameters.start_value, size)
+        variance = unknown * coordinates.spreads(value, size, SPREAD) ** 2
+        return cls(problem, replace(parameters, start_free=free, start_value=value), variance)
 
     # ---------------------------------------------------------------- what does not depend on the vector
     @cached_property
