@@ -120,3 +120,44 @@ def test_the_change_of_the_information_is_that_of_differences(tmp_path: Path, ex
     step = 1e-4 * np.eye(len(vector))[entries]
     differences = [(size(vector + h) - size(vector - h)) / 2e-4 for h in step]
     np.testing.assert_allclose(change, differences, rtol=1e-5)
+
+
+SEASON = """model season
+time t
+state d in [-10, 10] = 0
+learn m = 5 in [0, 20]
+learn c = 1 in [-10, 10]
+learn e = 1 in [-10, 10]
+learn k = 0.5 in [0.01, 5]
+learn s = 1 in [0.01, 20]
+d' = -k*d
+initial d = 0
+diffusion d = s
+observe x = m + c*cos(2*pi*t/12) + e*sin(2*pi*t/12) + d noise normal(0.01)
+"""
+
+
+def test_a_rate_that_changes_variances_is_that_of_a_dense_restricted_likelihood(tmp_path: Path) -> None:
+    # Left out of the restricted likelihood it followed the size of the disturbance to its bound.
+    t = np.arange(60.0)
+    columns = np.stack([np.ones(60), np.cos(2 * np.pi * t / 12), np.sin(2 * np.pi * t / 12)], axis=1)
+    between, beyond = np.abs(np.subtract.outer(t, t)), np.add.outer(t, t)
+
+    def covariance(k: float, s: float) -> Array:
+        found: Array = s**2 / (2 * k) * (np.exp(-k * between) - np.exp(-k * beyond)) + 1e-4 * np.eye(60)
+        return found
+
+    factor = np.linalg.cholesky(covariance(1.2, 2.8))
+    x = columns @ np.array([15.0, 5.0, 2.0]) + factor @ np.random.default_rng(3).standard_normal(60)
+    run, _ = fitted(SEASON, x, np.zeros(60), tmp_path)
+
+    def restricted(logs: Array) -> float:
+        whole = covariance(*np.exp(logs))
+        inverse = np.linalg.inv(whole)
+        normal = columns.T @ inverse @ columns
+        rest = x - columns @ np.linalg.solve(normal, columns.T @ inverse @ x)
+        return float(np.linalg.slogdet(whole)[1] + np.linalg.slogdet(normal)[1] + rest @ inverse @ rest)
+
+    best = np.exp(minimize(restricted, np.log([1.0, 3.0]), method="Nelder-Mead", options={"xatol": 1e-6}).x)
+    # The number of k itself is subtracted from that of the values as well, which the dense one does not do.
+    np.testing.assert_allclose([run.fit.constants[name].value for name in ("k", "s")], best, rtol=0.04)

@@ -18,7 +18,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Filtered, FilterEngine, Guess
+from gbspec.training.engines import Filtered, FilterEngine, Guess, Information
 from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.expected import ROUNDING, certainty_of
 from gbspec.training.optimise.inner import inner
@@ -27,7 +27,7 @@ from gbspec.training.optimise.maximum import likeliest
 from gbspec.training.optimise.near_none import higher, near_none
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.released import released
-from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, sizes, slope
+from gbspec.training.optimise.restricted import FLAT, Restricted, inverse, place_of, sizes, slope
 from gbspec.training.optimise.stage import Outcome, State, scalar
 from gbspec.training.optimise.unfinished import not_at_maximum
 from gbspec.training.problem import Integers
@@ -70,7 +70,7 @@ class _System:
     the matrix without priors."""
 
     found: Filtered
-    information: Array
+    information: Information
     value: float
     gradient: Array
     matrix: Array
@@ -292,7 +292,7 @@ class InnovationsFit:
         system = self._system(vector, scalar(state, "ridge"), _moments(state))
         if not system.found.finite:
             return float("inf")
-        effective = float(np.sum(inverse(system.matrix, self.engine.layout.free, ROUNDING) * system.information))
+        effective = float(np.sum(inverse(system.matrix, self.engine.layout.free, ROUNDING) * system.information.matrix))
         left = int(self.engine.problem.seen.sum()) - effective - 1
         return 2 * (system.found.value + effective * (1 + (effective + 1) / left)) if left > 0 else float("inf")
 
@@ -348,10 +348,11 @@ class InnovationsFit:
     def _restricted(self, state: State, system: _System, vector: Array, ridge: float) -> Restricted:
         """The restricted likelihood's term at a vector: that of the state while it fits, or where it is left out."""
         engine, term = self.engine, _restored(state)
-        at = np.append(vector[self._sizes], np.log(max(ridge, 1e-300)))
+        at = place_of(engine, self._sizes, vector, ridge)
         if "likeliest" in state or term.fits(at):
             return term
-        return Restricted(slope(engine, self._sizes, vector, system.found, system.matrix), at, 0)
+        found, known, matrix = system.found, system.information, system.matrix
+        return Restricted(slope(engine, self._sizes, vector, found, known, matrix), at, 0)
 
     def _move(self, system: _System, damping: float, vector: Array) -> Array:
         """The damped step within a box: no entry longer than allowed, and no noise below the least.
@@ -403,7 +404,7 @@ class InnovationsFit:
             slopes = np.zeros((len(priors), len(vector)))
             slopes[np.arange(len(priors)), priors.column] = priors.slopes(theta)
             matrix += slopes.T @ slopes
-        return _System(found, information.matrix, self._value(vector, ridge, found), gradient, matrix)
+        return _System(found, information, self._value(vector, ridge, found), gradient, matrix)
 
     def _evidence(self, system: _System, vector: Array, ridge: float) -> float:
         """The precision of the weights' prior by the evidence, averaged with the present one (in logarithms)."""

@@ -5,6 +5,10 @@ that it ascribes too little to disturbances and noises, the more the fewer value
 by n where n - p is right. The restricted likelihood (Patterson and Thompson 1971; its approximation for models that are
 not linear: Harville 1977) has the other entries integrated out. In Laplace's approximation this adds log det H_dd / 2
 to the negative log likelihood, H_dd being their information.
+
+A constant of the balances may change variances as sizes do (a rate k of a disturbance that decays has the variance
+s^2/(2k)). As one of the other entries it would follow a size to wherever their ratio stays; so it has a gradient of its
+own, of log det H_ll / 2 with the entries l that shift means alone, as the variances of a linear mixed model have.
 """
 
 from __future__ import annotations
@@ -13,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.arrays import Array
-from gbspec.training.engines import Filtered, FilterEngine
+from gbspec.arrays import Array, Mask
+from gbspec.training.engines import Filtered, FilterEngine, Information
 from gbspec.training.problem import Integers
 
 FLAT = 1e-8
@@ -24,6 +28,10 @@ LEAST = 1e-7
 MOVED = 0.01
 """The term is computed again where the logarithm of a size has changed by this, or that of the weights' precision by
 twice as much."""
+RIGID = 1e-10
+"""An entry shifts means alone if variances give no larger part of its information."""
+STEP = 1e-3
+"""Step of the differences, on the scale of training."""
 OLD = 10
 """The term is computed again after so many iterations."""
 
@@ -45,7 +53,8 @@ def sizes(engine: FilterEngine) -> Integers:
 
 @dataclass(frozen=True)
 class Restricted:
-    """The gradient [size] of log det H_dd / 2 by the sizes, zero elsewhere, with where and how long ago it was found.
+    """The gradient [size] of log det H_dd / 2 by the sizes, of log det H_ll / 2 by constants that change variances as
+    well, zero elsewhere, with where and how long ago it was found.
 
     An iteration maximises the likelihood with this gradient held; where it rests, the restricted likelihood does.
     """
@@ -65,7 +74,7 @@ class Restricted:
         return bool(len(self.at))
 
     def fits(self, at: Array) -> bool:
-        """Whether the term is still that of the sizes `at`, the last of which is the logarithm of a precision."""
+        """Whether the term is still that of the entries `at`, the last of which is the logarithm of a precision."""
         if not self.known or self.age >= OLD:
             return False
         moved = np.abs(at - self.at)
@@ -73,10 +82,21 @@ class Restricted:
         return bool((moved <= MOVED).all())
 
 
-def slope(engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, matrix: Array) -> Array:
-    """The gradient [size] of log det H_dd / 2 by the `entries`, H_dd being the block of the other free entries.
+def place_of(engine: FilterEngine, entries: Integers, vector: Array, ridge: float) -> Array:
+    """What the term depends on most: the `entries`, which are sizes, shared constants in models without networks, and
+    the logarithm of the weights' precision."""
+    places = engine.parameters.places
+    constants = vector[places] if not engine.parameters.n_weights else vector[:0]
+    return np.concatenate([vector[entries], constants, [np.log(max(ridge, 1e-300))]])
 
-    `matrix` is the information at `vector`, with priors, and `found` the filter there. The gradient is that of the
+
+def slope(
+    engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, information: Information, matrix: Array
+) -> Array:
+    """The gradient [size] of log det H_dd / 2 by the `entries`, H_dd being the block of other free entries, and that
+    of constants that change variances.
+
+    `matrix` is the `information` at `vector` with priors, and `found` the filter there. The gradient is that of the
     linear model that the filter has found: half the trace of H_dd^-1 and the change of the information of means. That
     of variances does not change with a common factor of all sizes.
     """
@@ -88,7 +108,36 @@ def slope(engine: FilterEngine, entries: Integers, vector: Array, found: Filtere
         values, axes = np.linalg.eigh(inverse(matrix, others, LEAST))
         factor = axes[:, values > 0] * np.sqrt(values[values > 0])
         out[entries] = 0.5 * engine.information_change(vector, found, factor, entries)
+        out += _of_constants(engine, entries, vector, found, information, matrix - information.matrix)
     return out
+
+
+def _of_constants(
+    engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, known: Information, priors: Array
+) -> Array:
+    """The gradient [size] of log det H_ll / 2 by shared constants that change variances, l being the entries that shift
+    means alone, by differences; zero for the `entries`, which are sizes, and in models with networks."""
+    out, parameters = np.zeros(len(vector)), engine.parameters
+    rigid = (np.diag(known.matrix) > 0) & (known.of_variances <= RIGID * np.diag(known.matrix))
+    rigid[entries] = False
+    shared = np.arange(parameters.places.start, parameters.places.stop)
+    moving = [i for i in shared if engine.layout.free[i] and i not in entries and not rigid[i]]
+    if parameters.n_weights or not rigid.any():
+        return out
+    here = _log_determinant(known.matrix + priors, rigid)
+    for entry in moving:
+        there = vector.copy()
+        there[entry] += STEP
+        information = engine.information(there, engine.filtered(there, guess=found.guess))
+        change = _log_determinant(information.matrix + priors, rigid) - here
+        out[entry] = 0.5 * change / STEP if np.isfinite(change) else 0.0
+    return out
+
+
+def _log_determinant(matrix: Array, rigid: Mask) -> float:
+    """The logarithm of the determinant of a block, NaN where it is not positive."""
+    sign, logarithm = np.linalg.slogdet(matrix[np.ix_(rigid, rigid)])
+    return float(logarithm) if sign > 0 else float("nan")
 
 
 def inverse(matrix: Array, free: Array, least: float) -> Array:
@@ -102,4 +151,4 @@ def inverse(matrix: Array, free: Array, least: float) -> Array:
     return out
 
 
-__all__ = ["FLAT", "Restricted", "inverse", "sizes", "slope"]
+__all__ = ["FLAT", "Restricted", "inverse", "place_of", "sizes", "slope"]
