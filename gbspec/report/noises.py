@@ -22,7 +22,7 @@ class LearnedNoise:
 
 def learned_noises(run: Run) -> tuple[LearnedNoise, ...]:
     """The noises that the best member has learned by the likelihood of innovations: those that the model does not
-    state. One that has gone to zero has no interval."""
+    state. One that has gone to zero, or is not told from a disturbance, has no interval."""
     if not run.model.diffusions:
         return ()
     from gbspec.ir import logarithmic

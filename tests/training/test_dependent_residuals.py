@@ -133,6 +133,12 @@ def test_a_learned_noise_that_went_to_zero_is_told() -> None:
     assert "`x` (2.4e-06)" in said and "`noise normal(…)`" in said
 
 
+def test_a_learned_noise_as_large_as_the_errors_has_not_gone_to_zero() -> None:
+    likelihood = LikelihoodRecord("l", 1.0, 3, 336, 1.0, 1.0, {"x": NoiseRecord(0.56, None, None)}, {})
+    (said,) = innovations({}, likelihood, None, {"x": 0.54})
+    assert "`x` (0.56) has no interval" in said and "gone to zero" not in said
+
+
 def test_autocorrelated_residuals_of_a_population_are_not_said_to_widen_its_intervals() -> None:
     """Its likelihood takes them for independent, and `diffusion` is not offered together with distributions."""
     text = "model m\ntime t : h\nstate x : K = 1\nlearn k : 1/h = 1 > 0 per trajectory ~ lognormal\n"

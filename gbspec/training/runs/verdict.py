@@ -51,6 +51,9 @@ SEVERAL = 3
 UNLIKELY = 1e-2
 """The model lacks something where its distances from averages of replicates have a smaller probability."""
 
+SMALL, SMALL_LOG = 0.1, 0.01
+"""A learned noise without an interval that is a larger part of the errors, or of log-normal values, is not at zero."""
+
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
     "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
@@ -289,18 +292,32 @@ def autocorrelations(
 
 
 def innovations(
-    channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord, model: Model | None = None
+    channels: Mapping[str, ChannelRecord],
+    likelihood: LikelihoodRecord,
+    model: Model | None = None,
+    rmse: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """Warnings of a fit with disturbances: innovations that are not independent, and noises that ended at zero."""
+    """Warnings of a fit with disturbances: innovations that are not independent, and noises that ended at zero, or
+    (where the errors `rmse` say that they are no small part of these) that are not told from disturbances."""
     out, coloured = [], not_independent(channels, likelihood)
     if coloured:
         listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, p)})" for name, p in coloured.items())
         out.append(f"the innovations of {listed} {NOT_INDEPENDENT}. {_other_disturbances(model)}")
-    gone = [f"`{name}` ({one.value:.2g})" for name, one in likelihood.noise.items() if one.interval is None]
+    unknown = {name: one.value for name, one in likelihood.noise.items() if one.interval is None}
+    logs = {c.name for c in model.channels if c.noise is not None and c.noise.kind == "lognormal"} if model else set()
+    least = {name: SMALL_LOG if name in logs else SMALL * (rmse or {}).get(name, math.inf) for name in unknown}
+    gone = [f"`{name}` ({value:.2g})" for name, value in unknown.items() if not value > least[name]]
     if gone:
         out.append(
             f"the learned noise of {', '.join(gone)} has gone to zero, or is not told from it: all that measurements "
             "scatter is taken for a disturbance. If the noise is known, state it: `noise normal(…)`"
+        )
+    mixed = [f"`{name}` ({value:.2g})" for name, value in unknown.items() if value > least[name]]
+    if mixed:
+        out.append(
+            f"the learned noise of {', '.join(mixed)} has no interval: these data do not tell how much of what "
+            "measurements scatter is noise, and how much a disturbance. If the noise is known, state it: "
+            "`noise normal(…)`"
         )
     return [*out, *said_of_unbounded(likelihood, model)]
 

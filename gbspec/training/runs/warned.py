@@ -44,7 +44,7 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
     """What is said of outliers and autocorrelated residuals, also of a fit without intervals, since it did not rest."""
     far = said_of_outlying(result.channels, result.outlying, model, result.rmse)
     if result.likelihood is not None:
-        return [*far, *verdict.innovations(result.channels or {}, result.likelihood, model)]
+        return [*far, *verdict.innovations(result.channels or {}, result.likelihood, model, result.rmse)]
     own = {k.name for k in model.learnables if k.per_trajectory} if model is not None else set()
     shared = {name: sd for name, sd in result.sd.items() if name not in own}
     each = np.array(list(shared.values()), dtype=np.float64)
