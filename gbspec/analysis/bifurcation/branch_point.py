@@ -79,7 +79,7 @@ def crossing_tangents(evaluate: Raw, y: Array) -> list[Array]:
     a, b, c = form[0, 0], (form[0, 1] + form[1, 0]) / 2.0, form[1, 1]
     size = max(abs(a), abs(b), abs(c))
     discriminant = b * b - a * c
-    if size < FLAT or discriminant <= 0.0:
+    if size < FLAT or discriminant <= FLAT * size**2:
         return []
     root = np.sqrt(discriminant)
     if abs(a) > 1e-9 * size:

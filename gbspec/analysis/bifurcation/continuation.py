@@ -18,7 +18,7 @@ from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.systems import Family, axis_width, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
 
-Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
+Kind = Literal["fold", "nonsmooth_fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,9 @@ class SteadyCurve:
     def follow(self, start: CurvePoint, most: int = 4000) -> Followed:
         """Follows the curve from a point along its tangent; the result states why it ended."""
         result = Followed([start])
-        before = start
+        before, turned = start, False
         unstable = self._unstable(start)
-        for point, length in self.curve.walk(start, self.steps):
+        for point, length in self.curve.walk(start, self.steps, corners=True):
             value = self.unscaled(point.y)[1]
             outside = value < self.low or value > self.high
             if outside:
@@ -168,7 +168,8 @@ class SteadyCurve:
             now = self._unstable(point)
             result.special.extend(self._changes(before, point, length, unstable, now))
             result.points.append(point)
-            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most)
+            turned = turned or bool(point.tangent @ start.tangent < 0.0)  # as any closed curve does somewhere
+            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most, turned)
             if reason:
                 result.end = reason
                 if reason == "closed":  # the last step ends where the first began
@@ -188,13 +189,13 @@ class SteadyCurve:
         tangent = self.curve.tangent(derivative, before.tangent)
         return None if tangent is None else CurvePoint(y, tangent, derivative)
 
-    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int) -> str:
+    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int, turned: bool) -> str:
         state, _ = self.unscaled(point.y)
         if not self.family.system.admissible(state):
             return "a state falls below its range"
         if np.any(state < self._far[0]) or np.any(state > self._far[1]):
             return "a state moves far outside its range"
-        if count > 10 and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
+        if turned and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
             near = (point.y - start.y) @ start.tangent
             if np.linalg.norm(point.y - start.y - near * start.tangent) < 0.1 * self.steps.most:
                 return "closed"
@@ -214,6 +215,8 @@ class SteadyCurve:
     ) -> list[tuple[Kind, CurvePoint]]:
         """The special points within one step."""
         found: list[tuple[Kind, CurvePoint]] = []
+        if a.tangent @ b.tangent < self.steps.turn:  # around a corner, next to which a lies
+            return [("nonsmooth_fold", _corner(a, b))] if a.tangent[-1] * b.tangent[-1] < 0.0 else []
         if a.tangent[-1] * b.tangent[-1] < 0.0:
             self._add(found, "fold", self.curve.locate(a, length, lambda point: float(point.tangent[-1])))
         sign_a, _ = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
@@ -260,3 +263,9 @@ class SteadyCurve:
                 return point
             length /= 3.0
         return None
+
+
+def _corner(a: CurvePoint, b: CurvePoint) -> CurvePoint:
+    """Where the tangents at points just before and just behind a corner meet."""
+    along = np.linalg.lstsq(np.column_stack([a.tangent, b.tangent]), b.y - a.y)[0]
+    return CurvePoint(a.y + along[0] * a.tangent, a.tangent, a.derivative)

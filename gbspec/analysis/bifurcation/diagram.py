@@ -146,6 +146,7 @@ class Diagram(Shown):
 
 NAMES = {
     "fold": "fold",
+    "nonsmooth_fold": "non-smooth fold",
     "hopf": "Hopf point",
     "branch": "branch point",
     "cycle_fold": "fold of cycles",
