@@ -70,6 +70,16 @@ def test_a_fold_at_a_searched_value_is_on_one_branch(values: int) -> None:
     assert points(diagram) == [("fold", 0.0, 0.0)]
 
 
+@pytest.mark.parametrize("values", [8, 9])
+def test_a_degenerate_point_of_a_branch_is_no_branch(values: int) -> None:
+    def rhs(x: Any, y: Any, mu: Any) -> tuple[Any, ...]:
+        return mu * (x + 0.5 * y) + x**2 + y**2, mu * (y - 0.3 * x) + x * y + 0.2 * y**2
+
+    ranges = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
+    diagram = found(textbook("degenerate", ("x", "y"), rhs, {"mu": float("nan")}, ranges), values)
+    assert all(len(branch.points) > 1 for branch in diagram.branches)
+
+
 def test_branches_that_run_close_together_stay_two() -> None:
     diagram = found(one_state(lambda x, mu: (x - mu / 2.0) * (x - mu / 2.0 - 1e-4)), 9)
     assert len(diagram.branches) == 2

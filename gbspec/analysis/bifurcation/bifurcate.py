@@ -94,6 +94,7 @@ class _Explorer:
     def __init__(self, curve: SteadyCurve, options: BifurcationOptions, progress: Callable[[str], None]) -> None:
         self.curve, self.options, self.progress = curve, options, progress
         self.followed: list[list[CurvePoint]] = []
+        self.lone: list[tuple[CurvePoint, tuple[str, str]]] = []
         self.branches: list[Branch] = []
         self.special: list[SpecialPoint] = []
         self.cycles: list[CycleBranch] = []
@@ -113,6 +114,9 @@ class _Explorer:
             for one in found:
                 self._explore(one.state, float(value))
             self.progress(f"steady states at {family.name} = {value:.6g}: {len(found)}")
+        for point, ends in self.lone:
+            if not self._known(point.y):
+                self._list([point], [], ends)
 
     def _explore(self, state: Array, value: float) -> None:
         """Follows the branch through a steady state in both directions, unless it is known."""
@@ -140,9 +144,10 @@ class _Explorer:
         for tangent in self.curve.crossing_tangents(at):
             sides = [self._side(at, direction) for direction in (tangent, -tangent)]
             starts = [one for one in sides if one is not None]
-            if starts and len(self.branches) < self.options.most_branches:
-                number = len(self.branches)
+            number = len(self.branches)
+            if starts:
                 self._follow(starts, None)
+            if len(self.branches) > number:
                 self._mark("branch", at, number)
 
     def _side(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
@@ -167,7 +172,15 @@ class _Explorer:
             self._add(before + ahead.points, behind.special + ahead.special, (behind.end, ahead.end))
 
     def _add(self, points: list[CurvePoint], found: list[tuple[Kind, CurvePoint]], ends: tuple[str, str]) -> None:
-        """Adds a branch and its special points, and follows the branches that cross it."""
+        """Adds a branch of more than one point; a single one may be a degenerate point of a branch that is not yet
+        followed, from which no direction is defined."""
+        if len(points) > 1:
+            self._list(points, found, ends)
+        else:
+            self.lone.append((points[0], ends))
+
+    def _list(self, points: list[CurvePoint], found: list[tuple[Kind, CurvePoint]], ends: tuple[str, str]) -> None:
+        """Lists a branch and its special points, and follows the branches that cross it."""
         if len(self.branches) >= self.options.most_branches:
             return
         self.followed.append(points)

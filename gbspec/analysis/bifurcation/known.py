@@ -45,6 +45,8 @@ def on_curve(curve: Curve, y: Array, points: Sequence[CurvePoint]) -> bool:
         guess = guess + ((y - guess) @ normal) * normal
         if np.max(np.abs(guess - y)) > BESIDE * lengths[i] + SAME:
             continue
+        if np.max(np.abs(guess - y)) < SAME / 10.0:  # also at a degenerate point, where Newton's method fails
+            return True
         corrected = curve.correct(guess, normal)
         if corrected is not None and np.max(np.abs(corrected[0] - y)) < SAME:
             return True
