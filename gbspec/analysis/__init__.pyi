@@ -1,5 +1,6 @@
 from .bifurcation.bifurcate import BifurcationOptions as BifurcationOptions
 from .bifurcation.bifurcate import bifurcate as bifurcate
+from .bifurcation.bifurcate import require_range as require_range
 from .bifurcation.cycles import CycleOptions as CycleOptions
 from .bifurcation.diagram import NAMES as NAMES
 from .bifurcation.diagram import Diagram as Diagram

@@ -11,6 +11,7 @@ from gbspec.diagnostics import Diagnostic, UserError, packages
 from gbspec.given import is_whole, shown
 from gbspec.ir import not_categories
 from gbspec.operations.models import Subject, truth_of
+from gbspec.operations.totals import require_isolated
 
 if TYPE_CHECKING:
     import polars as pl
@@ -50,11 +51,14 @@ def eigen(
 ) -> Eigen:
     """Eigenvalues of a subject at one point or several; for a run also those of its model's truth, if there is one.
 
-    Raises UserError (GB383) for a point with a number of no category.
+    Raises UserError (GB383) for a point with a number of no category, and (GB877) for steady states of balances that
+    conserve something.
     """
     from gbspec.analysis import eigen as run
 
     _without_events(source, "eigen")
+    if steady:
+        require_isolated(source.model)
     points = [at] if isinstance(at, Mapping) else at
     wrong = [problem for point in points for problem in not_categories(source.model.conditions, _each(point))]
     if wrong:
@@ -81,6 +85,17 @@ def _varied(source: Subject, *names: str) -> None:
             message = f"`{condition.name}` cannot be varied: it is one of some categories"
             help = f"vary another parameter, for each category in turn: `--set {condition.name}=0`"
             raise UserError([Diagnostic("GB383", message, None, help=help)])
+
+
+def _isolated(source: Subject, subject: System, varied: Mapping[str, Box]) -> None:
+    """Raises UserError (GB877) for balances that conserve something, after what is wrong with a range (GB875); a name
+    that cannot be varied is left to the analysis."""
+    from gbspec.analysis import require_range
+
+    for name, box in varied.items():
+        require_range(name, *box)
+    if all(name in subject.parameters for name in varied):
+        require_isolated(source.model)
 
 
 def _without_events(source: Subject, command: str) -> None:
@@ -130,7 +145,7 @@ def bifurcate(
     a run with the uncertainty of folds and Hopf points, if its covariance is known and its constants have intervals.
 
     Without these the data are exact for all the fit can tell: what is wrong is then the approximation, of which a
-    covariance says nothing.
+    covariance says nothing. Raises UserError (GB877) for balances that conserve something.
     """
     from gbspec.analysis import BifurcationOptions, Certainty, CycleOptions, with_uncertainty
     from gbspec.analysis import bifurcate as run
@@ -139,6 +154,7 @@ def bifurcate(
     _without_events(source, "bifurcate")
     _varied(source, over)
     subject = system(source)
+    _isolated(source, subject, {over: (low, high)})
     options = BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings))
     found = replace(run(subject, over, low, high, options), units=units(source.model))
     if source.run is None or source.member is None:
@@ -169,7 +185,10 @@ def joined(diagrams: Sequence[Diagram]) -> Diagram:
 
 @packages()
 def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram:
-    """The Hopf and fold curves of a subject in a box of the plane of two of its parameters."""
+    """The Hopf and fold curves of a subject in a box of the plane of two of its parameters.
+
+    Raises UserError (GB877) for balances that conserve something.
+    """
     from gbspec.analysis import bifurcation_plane as run
 
     _without_events(source, "bifurcate")
@@ -179,6 +198,7 @@ def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box,
         message = "the plane of two parameters is not offered for a model with delayed states"
         help = "give one parameter: its steady states, their roots and Hopf points are computed"
         raise UserError([Diagnostic("GB769", message, None, help=help)])
+    _isolated(source, subject, dict(zip(names, boxes, strict=True)))
     return run(subject, names, boxes)
 
 

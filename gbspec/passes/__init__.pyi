@@ -1,4 +1,6 @@
 from .claims import check_claims as check_claims
+from .conservation import Law as Law
+from .conservation import linear_laws as linear_laws
 from .contracts import with_contracts as with_contracts
 from .delays import greatest_value as greatest_value
 from .delays import least_value as least_value

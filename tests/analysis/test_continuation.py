@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from gbspec.analysis.bifurcation.bifurcate import bifurcate
+from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate
 from gbspec.analysis.bifurcation.continuation import SteadyCurve
 from gbspec.analysis.bifurcation.curve import Curve, Steps
 from gbspec.analysis.bifurcation.hopf import analyse_hopf
@@ -188,3 +189,41 @@ def test_exact_derivatives_agree_with_differences() -> None:
     assert family.bilinear(x, 0.3, u, v)[0] == pytest.approx((ahead - behind) @ v / (2 * h), rel=1e-8)
     third = family.bilinear(x + h * v, 0.3, u, v)[0] - family.bilinear(x - h * v, 0.3, u, v)[0]
     assert family.trilinear(x, 0.3, u, v, v)[0] == pytest.approx(third / (2 * h), rel=1e-8)
+
+
+@pytest.mark.parametrize("values", [4, 5, 9])
+def test_a_branch_that_turns_at_a_corner_has_a_fold_there(values: int) -> None:
+    def rhs(x: Any, y: Any, mu: Any) -> tuple[Any, ...]:
+        return mu - ca.fabs(x) + 0.3 * y, x - y - 0.2
+
+    system = textbook("corner", ("x", "y"), rhs, {"mu": float("nan")}, {"x": (-2.0, 2.0), "y": (-2.0, 2.0)})
+    diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(values=values, cycles=False))
+    (branch,) = diagram.branches
+    assert branch.ends == ("range", "range")
+    (fold,) = diagram.special
+    assert fold.kind == "nonsmooth_fold"
+    assert fold.value == pytest.approx(0.06, abs=1e-11)
+    assert fold.state == pytest.approx([0.0, -0.2], abs=1e-11)
+    assert "non-smooth fold at mu = 0.06:" in str(diagram)
+
+
+def test_a_branch_goes_on_around_a_corner_at_which_it_does_not_turn() -> None:
+    def rhs(x: Any, mu: Any) -> tuple[Any, ...]:
+        return (mu - x - 4.0 * ca.fmax(x, 0.0),)
+
+    system = textbook("bent", ("x",), rhs, {"mu": float("nan")}, {"x": (-2.0, 2.0)})
+    diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(cycles=False))
+    (branch,) = diagram.branches
+    assert branch.ends == ("range", "range")
+    assert diagram.special == ()
+    assert sorted(branch.states[[0, -1], 0]) == pytest.approx([-1.0, 0.2])
+
+
+def test_a_closed_branch_with_corners_is_followed_once_around() -> None:
+    def rhs(x: Any, mu: Any) -> tuple[Any, ...]:
+        return (0.5 - ca.fabs(x) - ca.fabs(mu - 0.03),)
+
+    system = textbook("diamond", ("x",), rhs, {"mu": float("nan")}, {"x": (-2.0, 2.0)})
+    diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(cycles=False))
+    assert [branch.ends for branch in diagram.branches] == [("closed", "closed")]
+    assert [point.value for point in diagram.of_kind("nonsmooth_fold")] == pytest.approx([-0.47, 0.53])

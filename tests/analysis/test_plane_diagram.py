@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram, bifurcation_plane
 from gbspec.diagnostics import UserError
 from gbspec.report.files import plane
-from tests.analysis.textbook import brusselator, cusp, urp
+from tests.analysis.textbook import brusselator, cusp, textbook, urp
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,20 @@ def test_curves_reach_the_edges_of_the_box(reactor: PlaneDiagram) -> None:
     assert fold.ends == ("range", "range")
     for point in (fold.points[0], fold.points[-1]):
         assert min(abs(point.values[0] - 0.05), abs(point.values[1] - 1.0)) < 1e-9
+
+
+@pytest.mark.parametrize("radius", [0.45, 0.5, 0.55])
+def test_a_closed_curve_is_listed_once(radius: float) -> None:
+    def rhs(x: Any, a: Any, b: Any) -> tuple[Any, ...]:
+        return (radius**2 - a**2 - b**2 - x**2,)
+
+    names = {"a": float("nan"), "b": float("nan")}
+    diagram = bifurcation_plane(
+        textbook("ball", ("x",), rhs, names, {"x": (-2.0, 2.0)}), ("a", "b"), ((-1, 1), (-1, 1))
+    )
+    (curve,) = diagram.curves
+    assert curve.points[0].values == pytest.approx(curve.points[-1].values)
+    assert "; closed" in str(diagram)
 
 
 def test_a_curve_is_followed_once() -> None:

@@ -84,3 +84,55 @@ def test_cycles_of_twice_the_period(here: Path, document: Run) -> None:
     assert doubled[0]["period"] == pytest.approx(2 * point["period"], rel=1e-3)
     assert all(cycle["stable"] for cycle in doubled)
     assert "period doubling" in Path("d.svg").read_text()
+
+
+CLOSED = """\
+model closed
+state A in [0, 2] = 1
+state B in [0, 2] = 0
+condition k in [0.1, 2] = 1
+const other = 1
+A' = -k*A + other*B
+B' = k*A - other*B
+observe A
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("bifurcate", "closed.gb", "--over", "k", "--range", 0.1, 2),
+        ("bifurcate", "closed.gb", "--over", "k", "--range", 0.1, 2, "--and", "other", "--and-range", 1, 2),
+        ("eigen", "closed.gb", "--steady"),
+    ],
+)
+def test_a_conserved_total_is_named(here: Path, gbspec: Run, command: tuple[object, ...]) -> None:
+    Path("closed.gb").write_text(CLOSED)
+    result = gbspec(*command)
+    assert result.exit_code == 1
+    assert "GB877" in result.stderr
+    assert "conserve `A + B`" in result.stderr
+    assert "`let B = total - A`" in result.stderr
+    assert gbspec("eigen", "closed.gb", "--at", "A=1,B=0").exit_code == 0
+
+
+def test_what_is_advised_for_a_conserved_total_has_steady_states(here: Path, document: Run) -> None:
+    advised = CLOSED.replace("state B in [0, 2] = 0", "const total = 1\nlet B = total - A")
+    Path("fixed.gb").write_text(advised.replace("B' = k*A - other*B\n", ""))
+    for name, low, high in (("k", 0.1, 2), ("total", 0.5, 2)):
+        (branch,) = document("bifurcate", "fixed.gb", "--over", name, "--range", low, high)["branches"]
+        assert branch["ends"] == ["range", "range"]
+
+
+def test_each_of_two_totals_is_named(here: Path, gbspec: Run) -> None:
+    """An enzyme E, free and bound in C, with its substrate S and product P, which is returned."""
+    Path("enzyme.gb").write_text(
+        "model enzyme\nstate E in [0, 1] = 1\nstate S in [0, 2] = 2\nstate C in [0, 1] = 0\n"
+        "state P in [0, 2] = 0\nstate total_C in [0, 1] = 0.4\ncondition k in [0.1, 1]\n"
+        "E' = -k*E*S + 2*C\nS' = -k*E*S + C + 0.1*P\nC' = k*E*S - 2*C\nP' = C - 0.1*P\ntotal_C' = 0\nobserve P\n"
+    )
+    said = " ".join(gbspec("bifurcate", "enzyme.gb", "--over", "k", "--range", 0.1, 1).stderr.split())
+    assert "conserve `total_C` and `-E + P + S` and `C + E`" in said
+    assert "`let P = total_P + E - S`" in said
+    assert "`let C = total_C_ - E`" in said
+    assert "`const total_C = …` in place of the state `total_C`" in said

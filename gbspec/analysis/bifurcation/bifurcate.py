@@ -13,11 +13,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.continuation import Branch, Followed, SpecialPoint, SteadyCurve
+from gbspec.analysis.bifurcation.continuation import Branch, Kind, SpecialPoint, SteadyCurve
 from gbspec.analysis.bifurcation.curve import CurvePoint, Steps
 from gbspec.analysis.bifurcation.cycles import CycleBranch, CycleCurve, CycleOptions
 from gbspec.analysis.bifurcation.diagram import Diagram
 from gbspec.analysis.bifurcation.hopf import analyse_hopf
+from gbspec.analysis.bifurcation.known import on_curve
 from gbspec.analysis.bifurcation.limit_cycle import Cycle
 from gbspec.analysis.bifurcation.settle import settle
 from gbspec.analysis.systems import Family, System, steady_states
@@ -93,6 +94,7 @@ class _Explorer:
     def __init__(self, curve: SteadyCurve, options: BifurcationOptions, progress: Callable[[str], None]) -> None:
         self.curve, self.options, self.progress = curve, options, progress
         self.followed: list[list[CurvePoint]] = []
+        self.lone: list[tuple[CurvePoint, tuple[str, str]]] = []
         self.branches: list[Branch] = []
         self.special: list[SpecialPoint] = []
         self.cycles: list[CycleBranch] = []
@@ -112,29 +114,78 @@ class _Explorer:
             for one in found:
                 self._explore(one.state, float(value))
             self.progress(f"steady states at {family.name} = {value:.6g}: {len(found)}")
+        for point, ends in self.lone:
+            if not self._known(point.y):
+                self._list([point], [], ends)
 
     def _explore(self, state: Array, value: float) -> None:
         """Follows the branch through a steady state in both directions, unless it is known."""
         start = self.curve.start(state, value, forward=True)
-        if start is None or self.curve.on_branch(start.y, self.followed):
+        if start is None or self._known(start.y):
             return
-        forward = self.curve.follow(start)
-        if forward.end == "closed":
-            self._add(Followed([start]), forward)
+        crossing = self.curve.crossing(start)
+        if crossing is not None:
+            self._cross(crossing)
             return
         back = CurvePoint(start.y, -start.tangent, start.derivative)
-        self._add(self.curve.follow(back), forward)
+        self._follow([start, back], start)
 
-    def _add(self, backward: Followed, forward: Followed) -> None:
-        """Adds a branch and its special points, and follows the branches that cross it."""
+    def _known(self, y: Array) -> bool:
+        """Whether a scaled point is a known branch point, all branches of which are followed, or lies on a branch."""
+        return any(point.kind == "branch" and self._same(point, y) for point in self.special) or any(
+            on_curve(self.curve.curve, y, points) for points in self.followed
+        )
+
+    def _same(self, point: SpecialPoint, y: Array) -> bool:
+        return bool(np.max(np.abs(self.curve.scaled(point.state, point.value) - y)) < 1e-5)
+
+    def _cross(self, at: CurvePoint) -> None:
+        """Follows the branches through a branch point that are not known yet."""
+        for tangent in self.curve.crossing_tangents(at):
+            sides = [self._side(at, direction) for direction in (tangent, -tangent)]
+            starts = [one for one in sides if one is not None]
+            number = len(self.branches)
+            if starts:
+                self._follow(starts, None)
+            if len(self.branches) > number:
+                self._mark("branch", at, number)
+
+    def _side(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
+        """The first point of a branch from a branch point, unless it is known or not admissible."""
+        point = self.curve.switch(at, tangent)
+        if point is None:
+            return None
+        state, value = self.curve.unscaled(point.y)
+        inside = self.curve.low <= value <= self.curve.high and self.curve.family.system.admissible(state)
+        return point if inside and not self._known(point.y) else None
+
+    def _follow(self, starts: list[CurvePoint], middle: CurvePoint | None) -> None:
+        """Adds the branch that begins with one point or two, to both sides of `middle` or of a branch point."""
+        ahead = self.curve.follow(starts[0])
+        if ahead.end == "closed":
+            self._add(ahead.points, ahead.special, ("closed", "closed"))
+        elif len(starts) == 1:
+            self._add(ahead.points, ahead.special, ("branch point", ahead.end))
+        else:
+            behind = self.curve.follow(starts[1])
+            before = behind.points[::-1] if middle is None else behind.points[:0:-1]
+            self._add(before + ahead.points, behind.special + ahead.special, (behind.end, ahead.end))
+
+    def _add(self, points: list[CurvePoint], found: list[tuple[Kind, CurvePoint]], ends: tuple[str, str]) -> None:
+        """Adds a branch of more than one point; a single one may be a degenerate point of a branch that is not yet
+        followed, from which no direction is defined."""
+        if len(points) > 1:
+            self._list(points, found, ends)
+        else:
+            self.lone.append((points[0], ends))
+
+    def _list(self, points: list[CurvePoint], found: list[tuple[Kind, CurvePoint]], ends: tuple[str, str]) -> None:
+        """Lists a branch and its special points, and follows the branches that cross it."""
         if len(self.branches) >= self.options.most_branches:
             return
-        points = backward.points[:0:-1] + forward.points
         self.followed.append(points)
         number = len(self.branches)
-        ends = backward.end or forward.end, forward.end
         self.branches.append(Branch(tuple(self.curve.steady_point(point.y) for point in points), ends))
-        found = backward.special + forward.special
         crossings = [point for kind, point in found if kind == "branch"]
         for kind, point in found:
             # The side branch of a pitchfork turns at the crossing: that is its branch point, not a fold.
@@ -142,28 +193,18 @@ class _Explorer:
                 continue
             self._mark(kind, point, number)
         for point in crossings:
-            for tangent in self.curve.crossing_tangents(point):
-                for direction in (tangent, -tangent):
-                    self._leave(point, direction)
+            self._cross(point)
 
-    def _leave(self, at: CurvePoint, tangent: Array) -> None:
-        """Follows a branch from a branch point, unless it is known or its first point is not admissible."""
-        point = self.curve.switch(at, tangent)
-        if point is None or self.curve.on_branch(point.y, self.followed):
-            return
-        state, value = self.curve.unscaled(point.y)
-        if self.curve.low <= value <= self.curve.high and self.curve.family.system.admissible(state):
-            followed = self.curve.follow(point)
-            self._add(Followed([point], end="branch point"), followed)
-
-    def _mark(self, kind: str, point: CurvePoint, branch: int) -> None:
-        """Adds a special point unless it is known; a Hopf point with its criticality."""
+    def _mark(self, kind: Kind, point: CurvePoint, branch: int) -> None:
+        """Adds a special point, a Hopf point with its criticality; at a known one, that a branch crosses there."""
         state, value = self.curve.unscaled(point.y)
         if not self.curve.family.system.admissible(state):
             return
-        scaled = [(other.kind, self.curve.scaled(other.state, other.value)) for other in self.special]
-        if any(other == kind and np.max(np.abs(y - point.y)) < 1e-5 for other, y in scaled):
-            return
+        for i, other in enumerate(self.special):
+            if other.kind == kind and self._same(other, point.y):
+                if kind == "branch" and branch not in other.branches:
+                    self.special[i] = replace(other, branches=(*other.branches, branch))
+                return
         if kind == "hopf" and self.curve.family.system.delayed is not None:
             frequency = self._frequency(point)
             special = SpecialPoint("hopf", value, state, branch, frequency, period=2 * np.pi / frequency)
@@ -171,7 +212,8 @@ class _Explorer:
             hopf = analyse_hopf(self.curve.family, state, value)
             special = SpecialPoint("hopf", value, state, branch, hopf.frequency, hopf.l1, hopf.criticality, hopf.period)
         else:
-            special = SpecialPoint("fold" if kind == "fold" else "branch", value, state, branch)
+            crossed = (branch,) if kind == "branch" else ()
+            special = SpecialPoint(kind, value, state, branch, branches=crossed)
         self.special.append(special)
 
     def _frequency(self, point: CurvePoint) -> float:
@@ -213,15 +255,16 @@ class _Explorer:
                 continue
             orbit = settle(self.curve.family, float(value), self._start(float(value)))
             place = None if orbit is None else curve.at(orbit.period, orbit.states, float(value))
-            if place is None:
+            if place is None or curve.known(place, self.cycles):
                 continue
             ahead, behind = curve.from_cycle(place)
             whole = replace(
                 ahead,
                 cycles=behind.cycles[:0:-1] + ahead.cycles,
                 found=behind.found + ahead.found,
-                end=f"{behind.end}; {ahead.end}",
+                end="closed" if ahead.end == "closed" else f"{behind.end}; {ahead.end}",
                 doublings=behind.doublings + ahead.doublings,
+                places=behind.places[:0:-1] + ahead.places,
             )
             self._keep(curve, whole)
             self.progress(f"cycles found by simulation at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
@@ -254,6 +297,9 @@ class _Explorer:
     def _keep(self, curve: CycleCurve, branch: CycleBranch, doubled: int = 0) -> None:
         """Adds a branch of cycles with its special points, then those of twice the period (`doubled`: how often)."""
         number = len(self.cycles)
+        # The middle: where a branch begins, another that was followed to this end may have stopped a step before.
+        if branch.places and curve.known(branch.places[len(branch.places) // 2], self.cycles):
+            return
         self.cycles.append(branch)
         for kind, cycle in branch.found:
             self.special.append(SpecialPoint(kind, cycle.value, cycle.states[0], number, period=cycle.period))

@@ -3,7 +3,7 @@
 The curve f(x, p) = 0 is followed by pseudo-arclength continuation with exact Jacobians. Test functions (Kuznetsov,
 Elements of Applied Bifurcation Theory, 3rd ed., section 10.2): the parameter's component of the tangent for folds, the
 k-th largest real part of the eigenvalues for Hopf points, and the determinant of the Jacobian bordered by the tangent
-for branch points; each sign change is located by Brent's method along the curve.
+for branch points. Sign changes are located by Brent's method along the curve, branch points by an extended system.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced, row_sizes
+from gbspec.analysis.bifurcation.branch_point import branch_point, branch_point_at, crossing_tangents
+from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.systems import Family, axis_width, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
 
-Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
+Kind = Literal["fold", "nonsmooth_fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,9 @@ class SpecialPoint:
     """A bifurcation point located on its branch; `state` is [n] (for a cycle: a point on it).
 
     For a Hopf point: `frequency` (the critical eigenvalue's imaginary part), `period` of the cycles born there, the
-    first Lyapunov coefficient `l1` and the criticality that follows from it. `branch` is the index of its branch. `sd`
-    and the 90 % `interval` of `value` follow from the uncertainty of the fit; None where that is not known.
+    first Lyapunov coefficient `l1` and the criticality that follows from it. `branch` is the index of its branch, and
+    `branches` are all that cross at a branch point. `sd` and the 90 % `interval` of `value` follow from the uncertainty
+    of the fit; None where that is not known.
     """
 
     kind: Kind
@@ -57,6 +59,7 @@ class SpecialPoint:
     period: float | None = None
     interval: tuple[float, float] | None = None
     sd: float | None = None
+    branches: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,9 +154,9 @@ class SteadyCurve:
     def follow(self, start: CurvePoint, most: int = 4000) -> Followed:
         """Follows the curve from a point along its tangent; the result states why it ended."""
         result = Followed([start])
-        before = start
+        before, turned = start, False
         unstable = self._unstable(start)
-        for point, length in self.curve.walk(start, self.steps):
+        for point, length in self.curve.walk(start, self.steps, corners=True):
             value = self.unscaled(point.y)[1]
             outside = value < self.low or value > self.high
             if outside:
@@ -165,9 +168,12 @@ class SteadyCurve:
             now = self._unstable(point)
             result.special.extend(self._changes(before, point, length, unstable, now))
             result.points.append(point)
-            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most)
+            turned = turned or bool(point.tangent @ start.tangent < 0.0)  # as any closed curve does somewhere
+            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most, turned)
             if reason:
                 result.end = reason
+                if reason == "closed":  # the last step ends where the first began
+                    result.points[-1 if (point.y - start.y) @ start.tangent > 0.0 else len(result.points) :] = [start]
                 return result
             before, unstable = point, now
         result.end = "no step converged"
@@ -183,13 +189,13 @@ class SteadyCurve:
         tangent = self.curve.tangent(derivative, before.tangent)
         return None if tangent is None else CurvePoint(y, tangent, derivative)
 
-    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int) -> str:
+    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int, turned: bool) -> str:
         state, _ = self.unscaled(point.y)
         if not self.family.system.admissible(state):
             return "a state falls below its range"
         if np.any(state < self._far[0]) or np.any(state > self._far[1]):
             return "a state moves far outside its range"
-        if count > 10 and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
+        if turned and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
             near = (point.y - start.y) @ start.tangent
             if np.linalg.norm(point.y - start.y - near * start.tangent) < 0.1 * self.steps.most:
                 return "closed"
@@ -209,17 +215,14 @@ class SteadyCurve:
     ) -> list[tuple[Kind, CurvePoint]]:
         """The special points within one step."""
         found: list[tuple[Kind, CurvePoint]] = []
+        if a.tangent @ b.tangent < self.steps.turn:  # around a corner, next to which a lies
+            return [("nonsmooth_fold", _corner(a, b))] if a.tangent[-1] * b.tangent[-1] < 0.0 else []
         if a.tangent[-1] * b.tangent[-1] < 0.0:
             self._add(found, "fold", self.curve.locate(a, length, lambda point: float(point.tangent[-1])))
-        sign_a, size_a = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
+        sign_a, _ = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
         sign_b, _ = np.linalg.slogdet(np.vstack([b.derivative, b.tangent]))
         if sign_a * sign_b < 0:
-
-            def bordered(point: CurvePoint) -> float:
-                sign, size = np.linalg.slogdet(np.vstack([point.derivative, point.tangent]))
-                return float(sign * np.exp(min(size - size_a, 700.0)))
-
-            self._add(found, "branch", self.curve.locate(a, length, bordered))
+            self._add(found, "branch", branch_point(self._raw, a, b))
         if abs(after - before) >= 2:
             rank = min(before, after)
             located = self.curve.locate(a, length, lambda point: float(self._eigenvalue(point, rank).real))
@@ -239,35 +242,17 @@ class SteadyCurve:
 
     # ------------------------------------------------------------------ other branches
     def crossing_tangents(self, at: CurvePoint) -> list[Array]:
-        """Unit tangents of the other branches through a branch point.
+        """Unit tangents of the branches through a branch point, without that of the branch on which it was found."""
+        tangents = crossing_tangents(self._raw, at.y)
+        tangents.sort(key=lambda one: abs(float(one @ at.tangent)))
+        return tangents[:1] if at.tangent.any() else tangents
 
-        They solve the algebraic branching equation a r^2 + 2 b r s + c s^2 = 0 on the two-dimensional null space of
-        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF. The
-        differences are not divided by the step: a common factor of a, b and c does not change the ratio r : s.
-        """
-        left, _, right = np.linalg.svd(at.derivative)
-        psi, null = left[:, -1], right[-2:]
-        step = 1e-5
-
-        def second(direction: Array) -> Array:
-            ahead, behind = (self._raw(at.y + sign * step * direction)[1] for sign in (1.0, -1.0))
-            return np.asarray(ahead - behind)
-
-        psi = psi / row_sizes(self._raw(at.y)[1])
-        form = np.array([[psi @ second(u) @ v for v in null] for u in null])
-        a, b, c = form[0, 0], (form[0, 1] + form[1, 0]) / 2.0, form[1, 1]
-        discriminant = b * b - a * c
-        if discriminant <= 0.0:
-            return []
-        root = np.sqrt(discriminant)
-        size = max(abs(a), abs(b), abs(c))
-        if abs(a) > 1e-9 * size:
-            ratios = [((-b + root) / a, 1.0), ((-b - root) / a, 1.0)]
-        else:
-            ratios = [(1.0, 0.0), (-c / (2.0 * b), 1.0)]
-        tangents = [r * null[0] + s * null[1] for r, s in ratios]
-        tangents = [tangent / np.linalg.norm(tangent) for tangent in tangents]
-        return [tangent for tangent in tangents if abs(tangent @ at.tangent) < 0.999]
+    def crossing(self, start: CurvePoint) -> CurvePoint | None:
+        """The branch point at `start`, without a tangent; None if it is a regular point."""
+        at = branch_point_at(self._raw, start.y)
+        tangents = [] if at is None else crossing_tangents(self._raw, at.y)
+        there = [any(self.switch(at, sign * one) is not None for sign in (1.0, -1.0)) for one in tangents if at]
+        return at if there and all(there) else None
 
     def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
         """A point on the branch through a branch point in the direction `tangent`."""
@@ -279,19 +264,8 @@ class SteadyCurve:
             length /= 3.0
         return None
 
-    def on_branch(self, y: Array, branches: list[list[CurvePoint]]) -> bool:
-        """Whether a scaled point lies on one of the branches followed so far."""
-        for points in branches:
-            values = np.array([point.y for point in points])
-            side = values[:, -1] - y[-1]
-            for i in np.flatnonzero(side[:-1] * side[1:] <= 0.0):
-                width = side[i] - side[i + 1]
-                part = side[i] / width if width else 0.0
-                guess = values[i] + part * (values[i + 1] - values[i])
-                if np.max(np.abs(guess - y)) < 1e-7:
-                    return True
-                if np.max(np.abs(guess - y)) < 3.0 * self.steps.most:
-                    solved = self.solve(guess[:-1] * self.scale[:-1], y[-1] * self.scale[-1])
-                    if solved is not None and np.max(np.abs(solved - y)) < 1e-6:
-                        return True
-        return False
+
+def _corner(a: CurvePoint, b: CurvePoint) -> CurvePoint:
+    """Where the tangents at points just before and just behind a corner meet."""
+    along = np.linalg.lstsq(np.column_stack([a.tangent, b.tangent]), b.y - a.y)[0]
+    return CurvePoint(a.y + along[0] * a.tangent, a.tangent, a.derivative)

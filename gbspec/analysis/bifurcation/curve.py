@@ -15,6 +15,9 @@ TOLERANCE = 1e-11
 ROUNDING = 1e-9
 """A test at one end of a step that is this small, relative to its other end, is zero."""
 
+BEYOND = 1e-6
+"""How far beyond a corner the curve is taken up again, in scaled variables: many of the shortest steps."""
+
 
 @dataclass(frozen=True)
 class CurvePoint:
@@ -92,8 +95,9 @@ class Curve:
         tangent = self.tangent(derivative, along)
         return None if tangent is None else CurvePoint(y, tangent, derivative)
 
-    def walk(self, start: CurvePoint, steps: Steps) -> Iterator[tuple[CurvePoint, float]]:
-        """Yields points after `start` along its tangent, each with its step length, until no step converges."""
+    def walk(self, start: CurvePoint, steps: Steps, *, corners: bool = False) -> Iterator[tuple[CurvePoint, float]]:
+        """Yields points after `start` along its tangent, each with its step length, until no step converges; with
+        `corners` it goes on around those where DF jumps, as at `abs` or `max`."""
         here, length = start, steps.first
         while True:
             corrected = self.correct(here.y + length * here.tangent, here.tangent)
@@ -101,7 +105,11 @@ class Curve:
             if corrected is None or tangent is None or tangent @ here.tangent < steps.turn:
                 length /= 2.0
                 if length < steps.least:
-                    return
+                    beyond = self._around(here, steps) if corners else None
+                    if beyond is None:
+                        return
+                    yield beyond, BEYOND
+                    here, length = beyond, steps.first
                 continue
             y, derivative, iterations = corrected
             here = CurvePoint(y, tangent, derivative)
@@ -110,6 +118,28 @@ class Curve:
                 length = min(steps.most, 1.5 * length)
             elif iterations > 6:
                 length /= 2.0
+
+    def _around(self, here: CurvePoint, steps: Steps) -> CurvePoint | None:
+        """The curve's point just beyond a corner next to `here`; None if there is no corner.
+
+        Across it DF changes by a matrix of rank one, whose rows are multiples of the normal of the surface on which it
+        jumps. So det [DF; tangent] keeps its sign for tangents that both point across this surface.
+        """
+        derivative = self.evaluate(here.y + BEYOND * here.tangent)[1]
+        if not np.isfinite(derivative).all():
+            return None
+        tangent = np.linalg.svd(derivative)[2][-1]
+        before, after = (
+            np.linalg.slogdet(np.vstack([matrix, along]))[0]
+            for matrix, along in ((here.derivative, here.tangent), (derivative, tangent))
+        )
+        tangent = tangent * (before * after)
+        if before * after == 0.0 or tangent @ here.tangent >= steps.turn:
+            return None
+        point = self.point(here.y + BEYOND * tangent, tangent)
+        if point is None or np.max(np.abs(point.y - here.y)) > 10.0 * BEYOND:  # F itself jumps
+            return None
+        return point if point.tangent @ tangent >= steps.turn else None
 
     def locate(
         self, a: CurvePoint, length: float, test: Callable[[CurvePoint], float], tolerance: float = 1e-13

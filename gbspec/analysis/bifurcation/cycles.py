@@ -8,7 +8,7 @@ multiplier -1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,8 @@ from gbspec.analysis.bifurcation.collocation import (
     inner,
     phase,
 )
-from gbspec.analysis.bifurcation.limit_cycle import Cycle, limit_cycle, others
+from gbspec.analysis.bifurcation.known import on_cycles
+from gbspec.analysis.bifurcation.limit_cycle import Cycle, Place, limit_cycle, others
 from gbspec.arrays import Array, ComplexArray, Mask
 
 if TYPE_CHECKING:
@@ -54,20 +55,11 @@ class CycleOptions:
 
 
 @dataclass(frozen=True)
-class Place:
-    """A point of the curve of cycles: orbit, unit tangent and multipliers."""
-
-    orbit: Orbit
-    tangent: Orbit
-    multipliers: ComplexArray
-
-
-@dataclass(frozen=True)
 class CycleBranch:
     """Cycles in the order of continuation, the special points among them, and the reason for the end of the branch.
 
     `found` holds (kind, cycle) of folds of cycles, period doublings and torus points; `start` describes its origin;
-    `doublings` are the points from which `CycleCurve.from_doubling` continues.
+    `doublings` are the points from which `CycleCurve.from_doubling` continues, `places` those of the cycles.
     """
 
     cycles: tuple[Cycle, ...]
@@ -75,6 +67,7 @@ class CycleBranch:
     end: str
     start: str = "hopf"
     doublings: tuple[Place, ...] = field(default=(), repr=False)
+    places: tuple[Place, ...] = field(default=(), repr=False)
 
 
 class CycleCurve:
@@ -145,19 +138,25 @@ class CycleCurve:
         return None if tangent is None else Place(orbit, tangent, self.equations.multipliers(orbit))
 
     def from_cycle(self, place: Place) -> tuple[CycleBranch, CycleBranch]:
-        """The branch through a cycle, followed to larger and to smaller values of the parameter."""
+        """The branch through a cycle, followed to larger and smaller values of the parameter, unless it is closed."""
         period = float(np.exp(place.orbit.log_period))
+        ahead = self._follow(place, period, self.options.first, "settled")
+        if ahead.end == "closed":
+            return ahead, CycleBranch((self.cycle(place),), (), "closed", "settled", (), (place,))
         back = replace(place, tangent=_scaled(place.tangent, -1.0))
-        first = self.options.first
-        return self._follow(place, period, first, "settled"), self._follow(back, period, first, "settled")
+        return ahead, self._follow(back, period, self.options.first, "settled")
+
+    def known(self, place: Place, branches: Iterable[CycleBranch]) -> bool:
+        """Whether a cycle is on one of the branches."""
+        return any(on_cycles(self.equations, place.orbit, branch.places) for branch in branches)
 
     # ------------------------------------------------------------------ following
     def _follow(self, start: Place, period: float, length: float, origin: str) -> CycleBranch:
         options = self.options
         here = start
-        cycles, found = [self.cycle(start)], list[tuple["Kind", Place]]()
+        places, found = [start], list[tuple["Kind", Place]]()
         end = "number of points"
-        while len(cycles) < options.points:
+        while len(places) < options.points:
             if length < options.least:
                 end = "no step converged"
                 break
@@ -169,7 +168,7 @@ class CycleCurve:
             value = place.orbit.parameter * self.equations.width
             if value < self.low or value > self.high:
                 last = self._at_end(here, self.low if value < self.low else self.high)
-                cycles.extend([self.cycle(last)] if last is not None else [])
+                places.extend([last] if last is not None else [])
                 end = "range"
                 break
             changes = self._changes(here, place, length)
@@ -177,16 +176,16 @@ class CycleCurve:
                 end = "hopf" if _amplitude(place.orbit) < 2.0 * options.most else "period doubling"
                 break
             found.extend(changes)
-            cycles.append(self.cycle(place))
-            end = self._reason_to_stop(place, start, period, len(cycles))
+            end = self._reason_to_stop(place, start, period, len(places) + 1)
+            places.append(start if end == "closed" else place)
             if end:
                 break
             end = "number of points"
-            here = self._remeshed(place) if len(cycles) % 3 == 0 else place
+            here = self._remeshed(place) if len(places) % 3 == 0 else place
             length = min(options.most, 1.4 * length) if iterations <= 4 else length * (0.7 if iterations > 6 else 1.0)
         special = tuple((kind, self.cycle(at)) for kind, at in found)
         doublings = tuple(at for kind, at in found if kind == "period_doubling")
-        return CycleBranch(tuple(cycles), special, end, origin, doublings)
+        return CycleBranch(tuple(map(self.cycle, places)), special, end, origin, doublings, tuple(places))
 
     def _step(self, here: Place, length: float) -> tuple[Place, int] | None:
         guess = here.orbit.moved(here.tangent, length)

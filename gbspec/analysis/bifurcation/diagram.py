@@ -105,6 +105,7 @@ class Diagram(Shown):
             "frequency": point.frequency,
             "l1": point.l1,
             "branch": point.branch,
+            "branches": list(point.branches) or [point.branch],
         }
 
     def _cycle(self, cycle: Cycle, branch: int) -> dict[str, object]:
@@ -127,7 +128,7 @@ class Diagram(Shown):
             lines.append(
                 f"  branch {i}: {len(branch.points)} steady states, {stable} stable"
                 + (f", {beyond} outside of data or declared ranges" if beyond else "")
-                + f"; ends: {', '.join(branch.ends)}"
+                + ("; closed" if branch.ends[0] == "closed" else f"; ends: {', '.join(branch.ends)}")
             )
         lines += [f"  {_describe(point, self.parameter, self.states)}" for point in self.special]
         for family in self.cycles:
@@ -145,6 +146,7 @@ class Diagram(Shown):
 
 NAMES = {
     "fold": "fold",
+    "nonsmooth_fold": "non-smooth fold",
     "hopf": "Hopf point",
     "branch": "branch point",
     "cycle_fold": "fold of cycles",
@@ -154,7 +156,10 @@ NAMES = {
 
 
 def _describe(point: SpecialPoint, parameter: str, states: Sequence[str]) -> str:
-    text = f"{NAMES[point.kind]} at {parameter} = {point.value:.10g}"
+    text = NAMES[point.kind]
+    if len(point.branches) > 1:
+        text += " (of branches " + ", ".join(map(str, point.branches[:-1])) + f" and {point.branches[-1]})"
+    text += f" at {parameter} = {point.value:.10g}"
     if point.interval is not None:
         text += f" [{point.interval[0]:.6g}, {point.interval[1]:.6g}]"
     if point.criticality is not None:

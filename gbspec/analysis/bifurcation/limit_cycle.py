@@ -37,6 +37,15 @@ class Cycle:
         return bool(np.all(np.abs(others(self.multipliers)) < 1.0))
 
 
+@dataclass(frozen=True)
+class Place:
+    """A point of the curve of cycles: orbit, unit tangent and multipliers."""
+
+    orbit: Orbit
+    tangent: Orbit
+    multipliers: ComplexArray
+
+
 def others(multipliers: ComplexArray) -> ComplexArray:
     """The multipliers without the trivial one (the one closest to 1)."""
     return np.delete(multipliers, int(np.argmin(np.abs(multipliers - 1.0))))

@@ -349,7 +349,8 @@ class _Tracer:
             if np.any(np.abs(point.tangent[-2:]) > 1e-3):
                 self.heading = point.tangent[-2:]
             if len(points) > 10 and np.max(np.abs(point.y - start.y)) < length and point.tangent @ start.tangent > 0.9:
-                return points, special, "closed"
+                passed = (point.y - start.y) @ start.tangent > 0.0
+                return [*(points[:-1] if passed else points), start], special, "closed"
             if len(points) > 3000:
                 return points, special, "number of points"
             before = point

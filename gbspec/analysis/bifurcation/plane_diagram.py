@@ -82,7 +82,7 @@ class PlaneDiagram(Shown):
             lines.append(
                 f"  {word}: {', '.join(spans)}, {len(curve.points)} points"
                 + (f", {beyond} outside of data or declared ranges" if beyond else "")
-                + f"; ends: {', '.join(curve.ends)}"
+                + ("; closed" if curve.ends[1] == "closed" else f"; ends: {', '.join(curve.ends)}")
             )
             for kind, point in curve.special:
                 x, y = point.values

@@ -26,6 +26,7 @@ from gbspec.report.style import BEHIND, CYCLE, FOLD, LEARNED, MEASURED, MEMBERS
 MARKERS: dict[str, tuple[Marker, str]] = {
     "hopf": ("circle", MEASURED),
     "fold": ("square", FOLD),
+    "nonsmooth_fold": ("square", MEMBERS[2]),
     "branch": ("diamond", MEMBERS[3]),
     "cycle_fold": ("up", FOLD),
     "period_doubling": ("down", MEMBERS[4]),
