@@ -65,8 +65,8 @@ class Mistake:
     are patterns for the whole statement, for the text before the offending token and for the text from it on;
     `word` says what the statement's first word is (`state`: a declared state; `slip`: a misspelt keyword or a synonym
     of one; else that word itself), `meant` that the offending word is a misspelt keyword, `unit` that it is the name of
-    a unit, and `open` that a bracket is open. `at` is the place of the diagnostic: `found`, `before` (the token before), `after` (the point after it),
-    `both`, `word`, `statement`, or the name of a group of a pattern.
+    a unit, and `open` that a bracket is open. `at` is the place of the diagnostic: `found`, `before` (the one before),
+    `after` (the point after it), `both`, `word`, `statement`, or the name of a group of a pattern.
     """
 
     code: str
