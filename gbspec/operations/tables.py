@@ -62,6 +62,14 @@ def read_data(
     return read_frame(data, model, findings, require_channels, chosen)
 
 
+def said_once(findings: Findings, run: Run, data: Trajectories) -> list[Diagnostic]:
+    """What was found in a table to predict on, without empty conditions (GB793) that the prediction itself names."""
+    from gbspec.analysis import defaulted
+
+    named = {run.model.conditions[i].name for i in defaulted(run, data.items)}
+    return [one for one in findings if one.code != "GB793" or one.subject not in named]
+
+
 def training_data(run: Run, findings: Findings, *, required: bool = True) -> Trajectories | None:
     """The data that a run was trained on, unchanged, from wherever they are found.
 
