@@ -126,7 +126,7 @@ class FittedRun(Tabled):
     ) -> Evaluation:
         """Negative log likelihood, chi-squared, residuals and gradient (default: on the training data, of the best
         member), at what was learned, with `values` in place of some constants; see `gbspec evaluate`."""
-        table = table_of(data, self.run.model) if data is not None else tables.trained_on(self.run, None, Findings())
+        table = tables.trained_on(self.run, None, Findings()) if data is None else self._given(data)
         return evaluating.of_run(self.run, table, values, member)
 
     def eigen(
@@ -241,8 +241,12 @@ class FittedRun(Tabled):
 
     def _data(self, data: Data | None, *, required: bool = True) -> Trajectories | None:
         if data is not None:
-            return table_of(data, self.run.model)
+            return self._given(data)
         return tables.training_data(self.run, Findings(), required=required)
+
+    def _given(self, data: Data) -> Trajectories:
+        """Data of any form: those of the training, if they are these but for how other programs read a text."""
+        return tables.recognised(self.run, table_of(data, self.run.model))
 
 
 def table_of(data: Data, model: Model, *, require_channels: bool = True) -> Trajectories:

@@ -14,6 +14,7 @@ from .bifurcation.plane_diagram import bifurcation_plane as bifurcation_plane
 from .bifurcation.uncertainty import Certainty as Certainty
 from .bifurcation.uncertainty import with_uncertainty as with_uncertainty
 from .prediction.below_zero import said_of_ends as said_of_ends
+from .prediction.defaults import defaulted as defaulted
 from .prediction.defaults import said_of_defaults as said_of_defaults
 from .prediction.estimate import Estimator as Estimator
 from .prediction.estimate import predictions as predictions

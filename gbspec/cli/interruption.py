@@ -17,7 +17,10 @@ def continued(directory: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        print(f"interrupted: {usable(directory)}; to continue: {command(sys.argv)}", file=sys.stderr)
+        if directory.exists():
+            print(f"interrupted: {usable(directory)}; to continue: {command(sys.argv)}", file=sys.stderr)
+        else:  # there is nothing that `--resume` could continue
+            print("interrupted: nothing was written yet; the same command begins again", file=sys.stderr)
         raise ExitWith(INTERRUPTED) from None
 
 
@@ -26,7 +29,7 @@ def usable(directory: Path) -> str:
     from gbspec.runs import member_numbers
 
     runs = [directory] if (directory / "fit.json").is_file() else sorted(directory.glob("*/fit.json"))
-    if runs == [directory]:
+    if runs in ([], [directory]):
         numbers = member_numbers(directory)
         if not numbers:
             return f"`{directory}` has no weights yet"

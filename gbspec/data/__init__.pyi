@@ -37,6 +37,7 @@ from .names import similar as similar
 from .negative import below_zero as below_zero
 from .overlays import overlay as overlay
 from .regimens import lasting as lasting
+from .sameness import same_content as same_content
 from .sampling import BY_NUMBER as BY_NUMBER
 from .sampling import Box as Box
 from .sampling import SimulateOptions as SimulateOptions

@@ -62,6 +62,14 @@ def read_data(
     return read_frame(data, model, findings, require_channels, chosen)
 
 
+def said_once(findings: Findings, run: Run, data: Trajectories) -> list[Diagnostic]:
+    """What was found in a table to predict on, without empty conditions (GB793) that the prediction itself names."""
+    from gbspec.analysis import defaulted
+
+    named = {run.model.conditions[i].name for i in defaulted(run, data.items)}
+    return [one for one in findings if one.code != "GB793" or one.subject not in named]
+
+
 def training_data(run: Run, findings: Findings, *, required: bool = True) -> Trajectories | None:
     """The data that a run was trained on, unchanged, from wherever they are found.
 
@@ -125,21 +133,56 @@ def _kept(run: Run) -> Trajectories | None:
 
 
 def trained_on(run: Run, given: str | Path | Frame | Trajectories | None, findings: Findings) -> Trajectories:
-    """The data that a run was trained on, from those `given` if they were moved; continuing a fit needs the same data.
+    """The data that a run was trained on, from those `given` if they were moved or are in a data frame; continuing a
+    fit needs the same data.
 
     Raises `UserError` (GB859) if they are not found, or differ.
     """
-    from gbspec.data import content_digest
-
     data = _read(run, given, findings)
     if data is None:
         message = "the run was trained on data in no table, and does not keep them"
         raise UserError([Diagnostic("GB859", message, None, help="give a table with the same data: `--data TABLE`")])
-    if run.fit.data.sha256 not in (data.sha256, content_digest(data)):
-        message = f"`{data.path or 'the given data'}` is not the table that the run was trained on"
-        help = "continuing the fit needs the same table, unchanged"
-        raise UserError([Diagnostic("GB859", message, None, help=help)])
-    return data
+    if _recorded(run, data):
+        return data
+    own = training_data(run, Findings(), required=False)
+    if own is None or not _same(own, data):
+        raise UserError([_other(data, own)])
+    return own
+
+
+def recognised(run: Run, data: Trajectories) -> Trajectories:
+    """The data that a run was trained on, where `data` are another reading of these (see `same_content`), of which
+    learned starts would not be found; else `data`."""
+    counts = run.fit.data.trajectories, run.fit.data.values
+    if _recorded(run, data) or counts != (len(data), data.measurements):
+        return data
+    own = training_data(run, Findings(), required=False)
+    return own if own is not None and _same(own, data) else data
+
+
+def _recorded(run: Run, data: Trajectories) -> bool:
+    """Whether data are those of the training bit by bit."""
+    from gbspec.data import content_digest
+
+    known = run.fit.data.sha256, run.fit.data.content
+    return data.sha256 in known or content_digest(data) in known
+
+
+def _same(own: Trajectories, data: Trajectories) -> bool:
+    from gbspec.data import same_content
+
+    return same_content(own, data)
+
+
+def _other(data: Trajectories, own: Trajectories | None) -> Diagnostic:
+    """That data are not those of the training; where its `own` are not found, numbers were not compared one by one."""
+    named = f"`{data.path}` is" if data.path else "the given data are"
+    if own is not None:
+        help = "continuing the fit, or reading what it learned of each trajectory, needs the same data, unchanged"
+        return Diagnostic("GB859", f"{named} not what the run was trained on", None, help=help)
+    message = f"{named} not bit by bit what the run was trained on, and its table is gone or was changed"
+    help = "name the file of the table: other programs may round the numbers in it, or change labels (`01` to 1)"
+    return Diagnostic("GB859", message, None, help=help)
 
 
 def _read(run: Run, given: str | Path | Frame | Trajectories | None, findings: Findings) -> Trajectories | None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import sympy
 
 from gbspec.analysis import (
     InitialStates,
@@ -122,7 +123,8 @@ def dense_times(item: Trajectory) -> Array:
 def units(model: Model) -> dict[str, str]:
     """The unit of every declared name that has one, and that of the time."""
     groups = (model.states, model.conditions, model.inputs, model.constants, model.learnables, model.unknowns,
-              model.channels, (model.time,))  # fmt: skip
+              model.tables, model.intermediates, model.algebraics, model.processes, model.channels,
+              (model.time,))  # fmt: skip
     return {item.name: item.unit for group in groups for item in group if item.unit}
 
 
@@ -140,7 +142,7 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
     for j, channel in enumerate(model.channels):
         measured = np.isfinite(item.values[:, j])
         reference = None if true is None else true[1][:, j]
-        unit = _channel_unit(model, channel)
+        unit = channel_unit(model, channel)
         shown.append(ChannelFit(channel.name, item.times[measured], item.values[measured, j], grid, channels[:, :, j],
                                 reference, unit, _limits(item, j, -1), _limits(item, j, 1)))  # fmt: skip
     for i, state in enumerate(model.states):
@@ -160,10 +162,12 @@ def _limits(item: Trajectory, channel: int, side: int) -> Array | None:
     return np.stack([item.times[rows], item.censored.value[rows, channel]]) if rows.any() else None
 
 
-def _channel_unit(model: Model, channel: Channel) -> str:
-    """The unit of a channel, which for a state is the state's."""
-    state = None if channel.state is None else model.states[channel.state]
-    return channel.unit or (state.unit if state is not None else None) or ""
+def channel_unit(model: Model, channel: Channel) -> str:
+    """The unit of a channel, which is that of the state or of the named value that it measures."""
+    measured = channel.value.name if isinstance(channel.value, sympy.Symbol) else ""
+    if channel.state is not None:
+        measured = model.states[channel.state].name
+    return channel.unit or units(model).get(measured, "")
 
 
 def _given(model: Model, item: Trajectory) -> tuple[Given, ...]:
@@ -225,7 +229,7 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     for j, channel in enumerate(model.channels):
         seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
         shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j]),
-                               _channel_unit(model, channel)))  # fmt: skip
+                               channel_unit(model, channel)))  # fmt: skip
     return tuple(shown)
 
 

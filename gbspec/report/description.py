@@ -129,7 +129,10 @@ Mark: TypeAlias = Line | Points | Band | Span | Rule | Rug | Heat | Bars | Text
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis; without `range` it covers the marks, extended by the fraction `margin` at either end."""
+    """An axis; without `range` it covers the marks, extended by the fraction `margin` at either end.
+
+    `names` are those of the places 0, 1, 2, … of an axis that has no numbers.
+    """
 
     label: str = ""
     unit: str = ""
@@ -137,11 +140,22 @@ class Axis:
     range: tuple[float, float] | None = None
     margin: float | None = None
     shown: bool = True
+    names: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
         """Label and unit."""
         return self.label + (f" [{self.unit}]" if self.unit else "")
+
+    def ticks(self, most: int) -> list[tuple[int, str]]:
+        """Places and their names, at most so many, of even distance; long names are cut."""
+        every = max(1, -(-len(self.names) // max(1, most)))
+        cut = (name if len(name) <= LONG else name[: LONG - 1] + "…" for name in self.names)
+        return list(enumerate(cut))[::every]
+
+
+LONG = 16
+"""Characters of a name at a place of an axis."""
 
 
 @dataclass(frozen=True)
@@ -212,9 +226,14 @@ def ensemble(x: Array, members: Array, label: str = "learned") -> tuple[Mark, ..
     return Band(x, members.min(axis=0), members.max(axis=0), "members"), mean
 
 
-def truth(x: Array, y: Array) -> Line:
+def truth(x: Array, y: Array, label: str = "truth") -> Line:
     """A reference curve: dashed and drawn over the learned curve, so that agreement is visible."""
-    return Line(x, y, "truth", TRUTH, 1.2, "dashed", layer=4)
+    return Line(x, y, label, TRUTH, 1.2, "dashed", layer=4)
+
+
+def true_solution(x: Array, y: Array) -> Line:
+    """The solution of the true equations, which begins where the model's does: that start may be a learned one."""
+    return truth(x, y, "truth, from the model's start")
 
 
 def measured(x: Array, y: Array) -> Points:

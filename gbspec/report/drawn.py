@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import zip_longest
+from itertools import takewhile, zip_longest
 from typing import TYPE_CHECKING, Any, TypeAlias, assert_never
 
 import numpy as np
 
 from gbspec.report import style
+from gbspec.report.breaking import HEADING, LABEL, TITLE, broken
 from gbspec.report.description import (
+    Axis,
     Band,
     Bars,
     Block,
@@ -18,6 +20,7 @@ from gbspec.report.description import (
     Mark,
     Panel,
     Points,
+    Row,
     Rug,
     Rule,
     Span,
@@ -36,6 +39,11 @@ DASHES: dict[str, Look] = {"solid": "solid", "dashed": (0, (3.4, 2.2)), "dotted"
 MARKERS = {"circle": "o", "square": "s", "diamond": "D", "up": "^", "down": "v", "plus": "P", "cross": "x", "bar": "|"}
 LEGEND = 0.4
 """Inches that a legend below or above a block takes."""
+MARGIN, PLAIN, BESIDE, LOW = 0.7, 0.2, 0.5, 1.1
+"""Inches of a panel beside its axes, with and without what the y axis is called, and below and above these; what a
+y axis is called may reach beyond a low panel."""
+UPRIGHT = 6.0
+"""Upright names per inch."""
 IN_A_ROW = 5
 """Entries of a legend side by side."""
 LEAST_WIDTH = 5.2
@@ -79,6 +87,16 @@ def _width(block: Block) -> float:
     return sum(_column_widths(block))
 
 
+def _margin(panel: Panel) -> float:
+    return MARGIN if panel.y.shown and panel.y.label else PLAIN
+
+
+def _free(row: Row) -> float:
+    """The inches over the first panel of a row and those behind it up to the next one with a title."""
+    panels = list(takewhile(lambda panel: panel is None or not panel.title, row.panels))
+    return sum(panel.width for panel in panels if panel is not None)
+
+
 def _block(where: Figure | SubFigure, block: Block) -> None:
     heights, widths = _row_heights(block), _column_widths(block)
     share: Any = {"": False, "row": "row", "column": "col"}[block.shared]
@@ -94,7 +112,7 @@ def _block(where: Figure | SubFigure, block: Block) -> None:
                 one.set_xlabel("")
         first = row.panels[0]
         if row.heading and first is not None and not first.title:
-            axes[0].set_title(row.heading)
+            axes[0].set_title(broken(row.heading, _free(row) - _margin(first), HEADING))
     if block.legend:
         entries = dict(_entries(grid.ravel().tolist()))
         if entries:
@@ -112,8 +130,9 @@ def _entries(panels: Sequence[Axes]) -> Iterator[tuple[str, Artist]]:
 def _panel(axes: Axes, panel: Panel, where: Figure | SubFigure) -> None:
     for mark in panel.marks:
         _draw(axes, mark, where)
-    axes.set_xlabel(panel.x.title)
-    axes.set_ylabel(panel.y.title)
+    inside = panel.width - _margin(panel)
+    axes.set_xlabel(broken(panel.x.title, inside, LABEL))
+    axes.set_ylabel(broken(panel.y.title, max(LOW, panel.height - BESIDE), LABEL))
     for axis, scale, limit, margin in (
         (panel.x, axes.set_xscale, axes.set_xlim, axes.set_xmargin),
         (panel.y, axes.set_yscale, axes.set_ylim, axes.set_ymargin),
@@ -126,7 +145,9 @@ def _panel(axes: Axes, panel: Panel, where: Figure | SubFigure) -> None:
             limit(*axis.range)
     axes.autoscale_view()
     if panel.title:
-        axes.set_title(panel.title, fontsize=8.5)
+        axes.set_title(broken(panel.title, inside, TITLE), fontsize=8.5)
+    if panel.x.names:
+        _named(axes, panel.x, inside)
     if not panel.y.shown:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
@@ -134,6 +155,13 @@ def _panel(axes: Axes, panel: Panel, where: Figure | SubFigure) -> None:
     entries = dict(_entries([axes]))
     if panel.legend and len(entries) > 1:
         axes.legend(list(entries.values()), list(entries), loc="best")
+
+
+def _named(axes: Axes, axis: Axis, inches: float) -> None:
+    """Names at the places of an x axis, upright where they would overlap, and not all where even these would."""
+    shown = axis.ticks(int(inches * UPRIGHT))
+    upright = sum(len(name) + 2 for _, name in shown) > inches * LABEL
+    axes.set_xticks([place for place, _ in shown], [name for _, name in shown], rotation=90 if upright else 0)
 
 
 def _draw(axes: Axes, mark: Mark, where: Figure | SubFigure) -> None:

@@ -14,7 +14,7 @@ from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module
 from gbspec.ir import NN, Channel, Condition, Constant, Expr, Model, State, Unknown
 from gbspec.passes import with_truth
-from gbspec.report.collect import Fitted, visited
+from gbspec.report.collect import Fitted, units, visited
 from gbspec.report.content import LearnedFunction, Plane, Slice
 
 CURVE, GRID = 160, 60
@@ -83,16 +83,28 @@ def postulate_of(fitted: Fitted, unknown: Unknown) -> Expression | None:
 
 
 def argument_units(model: Model, unknown: Unknown) -> tuple[str, ...]:
-    """The units of the arguments of an unknown: those declared with it, else, where it is applied to one state,
-    condition or input alone, that one's; empty where there is none."""
-    names = {item.name: item.unit for item in (*model.states, *model.conditions, *model.inputs)}
-    values = model.inlined((*model.balances, *(channel.value for channel in model.channels)))
-    calls = {node for value in values for node in value.atoms(AppliedUndef) if node.func.__name__ == unknown.name}
+    """The units of the arguments of an unknown: those declared with it, else, where it is applied to one named value
+    alone (a state, condition, input, `let` or algebraic variable), that one's; empty where there is none."""
+    known = units(model)
+    values = [
+        *model.balances,
+        *(channel.value for channel in model.channels),
+        *(item.value for item in model.intermediates),
+        *(item.residual for item in model.constraints),
+    ]
     found = []
     for i, argument in enumerate(model.networks[unknown.network].arguments):
-        given = {str(node.args[i]) for node in calls}
-        found.append(argument.unit or (names.get(given.pop()) if len(given) == 1 else None) or "")
+        # a `let` without a unit of its own may stand for a state that has one
+        given = (_applied(unknown, i, each) for each in (values, model.inlined(values)))
+        named = [known[names.pop()] for names in given if len(names) == 1 and names <= known.keys()]
+        found.append(argument.unit or next(iter(named), ""))
     return tuple(found)
+
+
+def _applied(unknown: Unknown, i: int, values: Sequence[Expr]) -> set[str]:
+    """What an unknown is applied to in some values, in its argument `i`, as texts."""
+    calls = {node for value in values for node in value.atoms(AppliedUndef) if node.func.__name__ == unknown.name}
+    return {str(node.args[i]) for node in calls}
 
 
 class _Drawn:

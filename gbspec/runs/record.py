@@ -45,7 +45,7 @@ class DataRecord:
     `path` is as it was given; `absolute` and `relative` (to the run) are the table's place, by which it is found from
     other folders. Data that were in no table are kept in the run, and `path` is empty; `sha256` is of their content.
     `format`: the form of the table, as for `--format`, if it is no ordinary one. `conditions`: their least and largest
-    values.
+    values. `content`: the SHA-256 of the content of a table, in whatever file or data frame it is.
     """
 
     path: str
@@ -57,6 +57,7 @@ class DataRecord:
     relative: str | None = field(default=None, metadata=OMITTED)
     format: str | None = field(default=None, metadata=OMITTED)
     conditions: Mapping[str, tuple[float, float]] | None = field(default=None, metadata=OMITTED)
+    content: str | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

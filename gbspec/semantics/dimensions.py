@@ -13,10 +13,10 @@ from gbspec.semantics.delays import is_delay
 from gbspec.semantics.expressions import chain, fold, operands, walk
 from gbspec.semantics.table import Table
 from gbspec.semantics.unification import UNKNOWN, Solution, factor_between
+from gbspec.semantics.unit_remedies import excerpt, made_pure, of_bare_number, remedy
 from gbspec.semantics.units import ONE, Unit, read
-from gbspec.syntax import FUNCTIONS, Kind, ast, ungrouped
+from gbspec.syntax import FUNCTIONS, Kind, ast
 
-_OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
 _SAME = frozenset({"abs", "mod", "min", "max"})
 _HALF = Fraction(1, 2)
 _ADDED = "are added or subtracted"
@@ -138,7 +138,8 @@ class Units:
         if any(scales) and net == 0:
             units = [namespace.difference(unit) for unit in resolved]
         common = self.same([part for _, part in parts], units, _ADDED)
-        return resolved[scales.index(True)] if any(scales) and net else common
+        agreed = common is units[0]  # what disagrees is reported once
+        return resolved[scales.index(True)] if any(scales) and net and agreed else common
 
     def _converted(self, node: ast.Conversion, unit: Unit) -> Unit:
         """The unit of a quantity that is given in one; its scale is noted, and what cannot be converted reported."""
@@ -192,7 +193,7 @@ class Units:
                 node.span,
                 label=f"in `{self.solution.shown(unit)}`",
                 labels=self._origins(unit),
-                help=f"divide it by a constant of the unit `{self.solution.shown(unit)}`",
+                help=made_pure(self.solution, node, unit, not self.inside_function),
             )
 
     # --------------------------------------------------------------------------------------------------------- calls
@@ -313,7 +314,7 @@ class Units:
                 span,
                 label=f"in `{b}` with the rate",
                 labels=[Label(process.span, f"its rate is in `{rate}`"), *self._origins(unit, wanted)],
-                help=self._remedy(wanted, unit, " ".join(span.text.split()), convertible=False),
+                help=self._remedy(wanted, unit, span),
             )
 
     def channel_disagrees(self, name: ast.Name, wanted: Unit) -> None:
@@ -329,7 +330,7 @@ class Units:
                 f"the channel `{name.text}` is in `{a}`, but what it measures is in `{b}`",
                 name.span,
                 help="units are never converted implicitly"
-                + (f"; measure `{name.text}_converted = {name.text} in {a}`" if factor else ""),
+                + (f"; write `observe {name.text}_converted = {name.text} in {a}`" if factor else ""),
             )
 
     # ----------------------------------------------------------------------------------------------------- reporting
@@ -352,39 +353,27 @@ class Units:
             return
         self.findings.error(
             "GB502",
-            f"`{_excerpt(first)}` in `{a}` and `{_excerpt(second)}` in `{b}` {how}",
+            f"`{excerpt(first)}` in `{a}` and `{excerpt(second)}` in `{b}` {how}",
             second.span,
             label=f"in `{b}`",
             labels=[Label(first.span, f"in `{a}`"), *self._origins(other, one)],
-            help=self._in_unit(first, one, second, other, how) or self._remedy(one, other, _excerpt(second)),
+            help=of_bare_number(self.solution, first, one, second, other, how == _ADDED)
+            or self._remedy(one, other, second),
         )
-
-    def _in_unit(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> str:
-        """The help where a bare number is added to, or compared with, what has a unit: it may be in that unit.
-
-        A summand 1 is one of `1 - X/K`, where the unit of K is what is missing.
-        """
-        for node, mine, others in ((second, other, one), (first, one, other)):
-            unit, text = self.solution.known(others), _excerpt(node)
-            if self.solution.known(mine) != ONE or unit in (None, ONE) or not written_number(node):
-                continue
-            if how != _ADDED or text.lstrip("+-") not in ("1", "1.0"):
-                return f"give the number its unit: `({text} in {unit})`, or by a name: `const NAME : {unit} = {text}`"
-        return ""
 
     def _mismatch(self, what: str, at: Span, wanted: Unit, node: ast.Expression, unit: Unit) -> None:
         a, b = self.solution.shown(wanted), self.solution.shown(unit)
         if self._follows(a, b):
             return
         given = conversion_of(node)  # in a third unit: the last one is what counts
+        inner = node if given is None or written_number(given.value) else given.value
         self.findings.error(
             "GB504",
             f"{what} is in `{a}`, but this is in `{b}`",
             node.span,
             label=f"in `{b}`",
             labels=[Label(at, f"in `{a}`"), *self._origins(unit, wanted)],
-            help=self._inverted(wanted, unit, node)
-            or self._remedy(wanted, unit, _excerpt(given.value if given is not None else node)),
+            help=self._inverted(wanted, unit, node) or self._remedy(wanted, unit, inner),
         )
 
     def _inverted(self, wanted: Unit, unit: Unit, node: ast.Expression) -> str:
@@ -402,22 +391,8 @@ class Units:
                     return f"`{name}`, which converts units by `{declared}`, is the wrong way round: {word} it"
         return ""
 
-    def _remedy(self, wanted: Unit, unit: Unit, text: str, *, convertible: bool = True) -> str:
-        wanted, unit = self.solution.resolved(wanted), self.solution.resolved(unit)
-        if wanted.unknowns or unit.unknowns:
-            return ""
-        ratio = wanted.times(unit, Fraction(-1))
-        factor = factor_between(unit, wanted, self.solution.namespace)
-        moved = self.solution.namespace.moved(unit, wanted)
-        if factor is None and moved is not None:
-            return f"scales of temperature have different zeros; to convert it write `({text} in {wanted})`"
-        if factor is None and any(name in _OFFSET for name, _ in ratio.names):
-            return "scales of temperature with different zeros do not convert by a factor; use one of them throughout"
-        if factor is None:
-            return f"a factor with the unit `{ratio}` is missing, or there is a superfluous one"
-        if convertible and not self._within:
-            return f"convert it: `({text} in {wanted})`, a factor of {factor:.12g}"
-        return f"multiply `{text}` by a constant that converts: `const per : {ratio} = {factor:.12g}`"
+    def _remedy(self, wanted: Unit, unit: Unit, what: ast.Expression | Span) -> str:
+        return remedy(self.solution, wanted, unit, what, not self.inside_function)
 
     def _origins(self, *units: Unit) -> list[Label]:
         """The places at which undeclared units of names were inferred."""
@@ -434,8 +409,3 @@ class Units:
 def _parts(node: ast.Expression) -> tuple[ast.Expression, ...]:
     net = isinstance(node, ast.Call) and node.function.text == "net"
     return () if net else operands(node)
-
-
-def _excerpt(node: ast.Expression) -> str:
-    text = " ".join(ungrouped(node).span.text.split())
-    return text if len(text) <= 30 else text[:27] + "..."

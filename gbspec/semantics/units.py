@@ -80,9 +80,10 @@ def _text(names: Powers) -> str:
 
 
 def _power(name: str, exponent: Fraction) -> str:
+    """A power as it is written in a model, where exponents are numbers, and near enough to be read as this one."""
     if exponent == 1:
         return name
-    return f"{name}^{exponent}" if exponent.denominator == 1 else f"{name}^({exponent})"
+    return f"{name}^{exponent}" if exponent.denominator == 1 else f"{name}^{float(exponent):.9g}"
 
 
 # ---------------------------------------------------------------------------------------------------- measures of units

@@ -64,9 +64,9 @@ class Mistake:
     `snippets` and `terminals` say where the parser stops (either; neither: anywhere); `statement`, `before` and `found`
     are patterns for the whole statement, for the text before the offending token and for the text from it on;
     `word` says what the statement's first word is (`state`: a declared state; `slip`: a misspelt keyword or a synonym
-    of one; else that word itself), `meant` that the offending word is a misspelt keyword, and `open` that a bracket is
-    open. `at` is the place of the diagnostic: `found`, `before` (the token before), `after` (the point after it),
-    `both`, `word`, `statement`, or the name of a group of a pattern.
+    of one; else that word itself), `meant` that the offending word is a misspelt keyword, `unit` that it is the name of
+    a unit, and `open` that a bracket is open. `at` is the place of the diagnostic: `found`, `before` (the one before),
+    `after` (the point after it), `both`, `word`, `statement`, or the name of a group of a pattern.
     """
 
     code: str
@@ -79,6 +79,7 @@ class Mistake:
     found: str = ""
     word: str = ""
     meant: bool = False
+    unit: bool = False
     state: str = ""
     open: bool = False
     closed: bool = False
@@ -136,11 +137,16 @@ class Slip:
 
     @cached_property
     def meant(self) -> str:
-        """The expected keyword that the offending word resembles."""
-        if not _WORD.fullmatch(self.token):
+        """The expected keyword that the offending word resembles; a unit (`rad`, `min`) is none that was misspelt."""
+        if not _WORD.fullmatch(self.token) or self.unit:
             return ""
         keywords = [name.lower() for name in self.expected if len(name) > 1 and name.lower() in _KEYWORDS]
         return next(iter(get_close_matches(self.token.lower(), keywords, n=1, cutoff=0.65)), "")
+
+    @property
+    def unit(self) -> bool:
+        """Whether the offending word is the name of a usual unit."""
+        return _pattern(_data()["units"]["names"]).fullmatch(self.token) is not None
 
     @cached_property
     def opener(self) -> int | None:
@@ -247,7 +253,7 @@ def _fits(mistake: Mistake, slip: Slip) -> bool:
         return False
     if (mistake.open and slip.opener is None) or (mistake.closed and slip.opener is not None):
         return False
-    if mistake.meant and not slip.meant:
+    if (mistake.meant and not slip.meant) or (mistake.unit and not slip.unit):
         return False
     if mistake.word and not _word_is(mistake.word, slip):
         return False

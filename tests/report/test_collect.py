@@ -286,6 +286,34 @@ observe w
     assert units == [("rad/s",), ("",), ("rad/s", "rad")]
 
 
+def test_what_is_measured_or_an_argument_has_the_unit_of_its_declaration() -> None:
+    """Of a `let` and an algebraic variable too."""
+    text = """model m
+time t : s
+state w : rad/s in [0.1, 9] = 1
+const tau : s/rad = 1
+const c : rad/s^3 = 1
+let v : rad/s = 2*w
+let u = w
+algebraic p : kPa in [0, 20] = 2
+const a : kPa*s/rad = 1
+const b : kPa = 1
+equation ideal: p = a*v + b*exp(-p/b)
+unknown f(p) : rad/s^2 by mlp(2)
+unknown g(x) : rad/s^2 by mlp(2)
+unknown h(x) : rad/s^2 by mlp(2)
+w' = -f(p) - g(v) - h(u)
+observe w
+observe v
+observe p
+"""
+    model = model_of(text)
+    assert [collect.channel_unit(model, one) for one in model.channels] == ["rad/s", "rad/s", "kPa"]
+    assert [argument_units(model, one) for one in model.unknowns] == [("kPa",), ("rad/s",), ("rad/s",)]
+    found = collect.units(model)
+    assert found["w"] == "rad/s" and found["p"] == "kPa" and found["v"] == "rad/s"
+
+
 def test_an_interval_has_the_digits_that_its_width_needs() -> None:
     from gbspec.report.text import ends_of
 

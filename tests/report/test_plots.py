@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.analysis import InitialStates
+from gbspec.analysis.prediction.start_comparison import InitialState
 from gbspec.diagnostics import UserError
 from gbspec.report import style
+from gbspec.report.breaking import broken
 from gbspec.report.content import (
     ChannelFit,
     Given,
@@ -25,7 +28,7 @@ from gbspec.report.content import (
 )
 from gbspec.report.description import Axis
 from gbspec.report.drawn import drawn
-from gbspec.report.figures import constants, fit, functions, history, phase, residuals, summary
+from gbspec.report.figures import constants, fit, functions, history, initial_states, phase, residuals, summary
 from gbspec.report.html.charts import stack
 
 GRID = np.linspace(0.0, 1.0, 30)
@@ -58,6 +61,48 @@ def test_a_fit_has_a_column_for_each_trajectory_over_one_time_axis() -> None:
     assert made.axes[0].get_title(loc="left") == "trajectory 1, D = 0.2"
     assert made.axes[0].get_shared_x_axes().joined(made.axes[0], made.axes[1])
     assert not made.axes[0].get_shared_x_axes().joined(made.axes[0], made.axes[2])
+
+
+def test_long_names_are_broken_where_their_panel_ends() -> None:
+    """All that is written stays inside of the figure and does not run into the next panel."""
+    name = "concentration_of_the_limiting_substrate"
+    one = TrajectoryFit("A7", ", ".join(f"{name}_{k} = 3.25" for k in range(4)), (channel(name), channel("y")))
+    slices = [replace(one, argument=name, label=f"{name} = 0.5, {name}_2 = 0.25") for one in function().slices]
+    known = LearnedConstant(name, 0.5, (0.4, 0.6), (0.5,), 1.0, 0.6, None, "1/h")
+    made = drawn(summary.figure(one, replace(function(), name=name, slices=tuple(slices)), [known], "t", "h"))
+    made.draw_without_rendering()  # type: ignore[no-untyped-call]
+    box = made.bbox
+    for axes in made.axes:
+        texts = [axes.title, axes._left_title, axes.xaxis.label, axes.yaxis.label]  # type: ignore[attr-defined]
+        for text in (text for text in texts if text.get_text()):
+            extent = text.get_window_extent()
+            assert box.x0 <= extent.x0 and extent.x1 <= box.x1, text.get_text()
+            assert box.y0 <= extent.y0 and extent.y1 <= box.y1, text.get_text()
+            assert name in text.get_text().replace("\n", "") or name not in text.get_text()
+    titles = [axes.get_title(loc="left") for axes in made.axes]
+    assert titles[0].count("\n") and titles[2].count("\n"), titles
+    assert broken("a short one", 3.0, 13.0) == "a short one" and broken("x" * 50, 1.0, 10.0).count("\n") == 4
+
+
+def test_the_true_solution_is_said_to_begin_where_that_of_the_model_does() -> None:
+    made = drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))], "t", "h"))
+    said = [text.get_text() for part in made.subfigs or [made] for legend in part.legends for text in legend.texts]
+    assert "truth, from the model's start" in said
+
+
+def test_initial_states_are_drawn_over_the_labels_of_trajectories() -> None:
+    state, off = np.array([1.0]), np.array([0.1])
+    values = np.array([-0.25 + 0j])
+    items = tuple(InitialState(label, 0.0, state, state, None, values, off, None) for label in ("P1", "P7", "Q2"))
+    shown = initial_states.figure(InitialStates(("x",), items), {"x": "g/L"}, time="h")
+    made = drawn(shown)
+    (mode,) = (axes for axes in made.axes if axes.get_xlabel() == "trajectory")
+    assert [text.get_text() for text in mode.get_xticklabels()] == ["P1", "P7", "Q2"]
+    assert mode.get_title(loc="left") == "mode 1: decays in 4 h"
+    (panel,) = (panel for row in shown.rows[0][0].rows for panel in row.panels if panel and panel.title)
+    assert stack([panel])["layout"]["xaxis"]["ticktext"] == ["P1", "P7", "Q2"]
+    many = Axis("trajectory", names=tuple(f"a long name of trajectory {k}" for k in range(100))).ticks(20)
+    assert [place for place, _ in many] == list(range(0, 100, 5)) and all(len(name) == 16 for _, name in many)
 
 
 def test_inputs_and_doses_are_drawn_below_what_is_measured() -> None:
@@ -94,7 +139,7 @@ def test_five_thousand_points_stay_readable() -> None:
 def test_measurements_fit_and_truth_are_drawn_where_they_are() -> None:
     axes = drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))])).axes[0]
     lines = {line.get_label(): np.column_stack(line.get_data()) for line in axes.lines}
-    assert set(lines) == {"model", "truth", "measured"}
+    assert set(lines) == {"model", "truth, from the model's start", "measured"}
     np.testing.assert_allclose(lines["model"][:, 1], np.sin(GRID) + 0.01)  # the mean of the members
     np.testing.assert_allclose(lines["measured"], np.column_stack([TIMES, np.sin(TIMES)]))
     assert len(axes.collections) == 1  # the range of the members is shaded
@@ -179,7 +224,11 @@ def test_phase_draws_each_orbit_and_labels_one() -> None:
         )
     )
     assert made.axes[0].get_xlabel() == "x [mol]"
-    assert [text.get_text() for text in made.axes[0].get_legend().get_texts()] == ["model", "truth", "measured"]
+    assert [text.get_text() for text in made.axes[0].get_legend().get_texts()] == [
+        "model",
+        "truth, from the model's start",
+        "measured",
+    ]
 
 
 @pytest.mark.parametrize("count", [0, 2])

@@ -33,7 +33,8 @@ def run(*warnings: str, held: float | None = 0.99, interval: tuple[float, float]
     members = (MemberRecord(0, 1.0, {}, 0.0, (), channels=channels),)
     fit = FitRecord("0", "m", DataRecord("", "", 3, 9, 9), {}, {}, constants, {}, members, warnings)
     nothing = SimpleNamespace(truth_constants=(), unknowns=(), states=(), conditions=(), inputs=(), constants=(),
-                              learnables=(), channels=(), time=SimpleNamespace(name="t", unit=None))  # fmt: skip
+                              learnables=(), channels=(), tables=(), intermediates=(),
+                              algebraics=(), processes=(), time=SimpleNamespace(name="t", unit=None))  # fmt: skip
     given = {"fit": fit, "model": nothing, "numbers": (0,), "path": Path("run"), "innovations": None}
     return SimpleNamespace(**given, profiled=lambda name: None)
 

@@ -7,8 +7,10 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
+import gbspec
 from gbspec.data import Trajectories, content_digest, from_arrays, to_arrays
 from gbspec.diagnostics import Findings, UserError
 from gbspec.operations.tables import trained_on, training_data
@@ -55,6 +57,36 @@ def test_a_table_that_is_gone_or_was_changed_is_told(place: Path, original: Path
     assert not (place / "r.html").exists()
     status, _, said = tampering.called(("plot", "run", "history", "-o", "f.svg"), place)
     assert status == 0 and "warning[GB859]" in said, "a figure that needs no data is drawn"
+
+
+def frame_of(place: Path) -> pl.DataFrame:
+    return pl.read_csv(place / "data.csv")
+
+
+def test_a_data_frame_with_the_content_of_the_table_is_that_of_the_training(place: Path) -> None:
+    run, frame = gbspec.open_run(place / "run"), frame_of(place)
+    starts = run.learned_starts()
+    assert run.learned_starts(frame).equals(starts)
+    rounded = frame.with_columns(pl.Series("x", np.nextafter(frame["x"].to_numpy(), np.inf)))  # as pandas may read it
+    assert run.learned_starts(rounded).equals(starts)
+    assert run.evaluate(rounded).nllh == run.evaluate().nllh
+    copied = place / "copied.csv"
+    frame.write_csv(copied, line_terminator="\r\n")
+    assert run.learned_starts(copied).equals(starts)
+    for other in (frame.with_columns(pl.col("x") * 1.001), frame[:-1]):
+        with pytest.raises(UserError, match="not what the run was trained on"):
+            run.learned_starts(other)
+
+
+def test_a_data_frame_is_recognised_where_the_table_is_gone(place: Path, original: Path) -> None:
+    frame = frame_of(place)
+    text = (place / "run" / "fit.json").read_text().replace(str(original), "/nowhere")
+    (place / "run" / "fit.json").write_text(text)
+    (place / "data.csv").unlink()
+    run = gbspec.open_run(place / "run")
+    assert len(run.learned_starts(frame)) == frame["trajectory"].n_unique()
+    with pytest.raises(UserError, match="its table is gone"):
+        run.learned_starts(frame.with_columns(pl.Series("x", np.nextafter(frame["x"].to_numpy(), np.inf))))
 
 
 def test_data_in_no_table_are_kept_with_the_run(tmp_path: Path) -> None:

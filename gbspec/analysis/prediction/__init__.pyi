@@ -1,4 +1,5 @@
 from .below_zero import said_of_not_positive as said_of_not_positive
+from .defaults import defaulted as defaulted
 from .defaults import said_of_defaults as said_of_defaults
 from .estimate import predictions as predictions
 from .followed import missed as missed

@@ -51,7 +51,7 @@ def run(
     findings = Findings()
     opened = models.open_run(directory, settings(set_values), findings)
     table = tables.read_data(data, opened.model, findings, require_channels=False, form=form)
-    output.findings(findings)
+    output.findings(tables.said_once(findings, opened, table))
     with output.console().status("predicting"):
         found = analysing.predict(opened, table, window=rows, path=path)
     output.say(f"wrote {to}")

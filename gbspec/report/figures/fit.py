@@ -20,7 +20,7 @@ from gbspec.report.description import (
     Row,
     ensemble,
     measured,
-    truth,
+    true_solution,
 )
 from gbspec.report.source import Source
 from gbspec.report.style import MUTED
@@ -80,7 +80,7 @@ def panel(channel: ChannelFit, axis: Axis, *, legend: bool = False, height: floa
     """One channel, or state, of one trajectory."""
     marks: list[Mark] = [*ensemble(channel.grid, channel.members, "model")]
     if channel.truth is not None:
-        marks.append(truth(channel.grid, channel.truth))
+        marks.append(true_solution(channel.grid, channel.truth))
     if channel.below is not None:
         marks.append(Points(channel.below[0], channel.below[1], "below", MUTED, 4.2, "down"))
     if channel.above is not None:

@@ -27,20 +27,23 @@ def build(source: Source) -> Figure:
     most = ON_PAGE if source.page else IN_FILE
     found = collect.initial_states(fitted, source.chosen() or evenly_spaced(len(fitted.data), most))
     known = {state.name for state in fitted.model.states if state.initial.known}
-    return figure(found, collect.units(fitted.model), known)
+    return figure(found, collect.units(fitted.model), known, fitted.model.time.unit or "")
 
 
 def figure(
-    found: InitialStates, units: Mapping[str, str] | None = None, known: Collection[str] = frozenset()
+    found: InitialStates,
+    units: Mapping[str, str] | None = None,
+    known: Collection[str] = frozenset(),
+    time: str = "",
 ) -> Figure:
     """Above, one panel per state, learned and bred over the reference; below, one per mode, slowest first.
 
-    States whose initial value the model gives (`known`) have no panel: they were not learned.
+    States whose initial value the model gives (`known`) have no panel: they were not learned. `time` is its unit.
     """
     states = tuple(
         _state(found, i, name, (units or {}).get(name, "")) for i, name in enumerate(found.states) if name not in known
     )
-    modes = tuple(_mode(found, i) for i in range(len(found.states)))
+    modes = tuple(_mode(found, i, time) for i in range(len(found.states)))
     return Figure(((Block((*wrapped(states, ACROSS), *wrapped(modes, ACROSS)), "below"),),))
 
 
@@ -53,16 +56,17 @@ def _state(found: InitialStates, i: int, name: str, unit: str) -> Panel:
     return Panel((line, *marks), Axis(f"{name}, {found.reference}", unit), Axis(name, unit), width=3.4, height=2.7)
 
 
-def _mode(found: InitialStates, i: int) -> Panel:
+def _mode(found: InitialStates, i: int, time: str) -> Panel:
     places = np.arange(len(found.items), dtype=np.float64)
     marks = [_learned(places, np.maximum([item.learned_off[i] for item in found.items], FLOOR), found)]
     bred = [item.bred_off[i] for item in found.items if item.bred_off is not None]
     if bred:
         marks.append(_bred(places, np.maximum(bred, FLOOR), found))
     rate = found.rates[i]
-    pace = f"decays in {-1 / rate:.3g}" if rate < 0 else "grows"
+    pace = f"decays in {-1 / rate:.3g} {time}".rstrip() if rate < 0 else "grows"
     distance = Axis(f"distance from {found.reference}", log=True)
-    return Panel(tuple(marks), Axis("trajectory"), distance, f"mode {i + 1}: {pace}", width=3.4, height=2.7)
+    x = Axis("trajectory", names=tuple(item.trajectory for item in found.items))
+    return Panel(tuple(marks), x, distance, f"mode {i + 1}: {pace}", width=3.4, height=2.7)
 
 
 def _learned(x: Array, y: Array, found: InitialStates) -> Points:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from gbspec.report import collect
 from gbspec.report.content import Orbit
-from gbspec.report.description import Axis, Figure, Line, Mark, Panel, Points, measured, single, truth
+from gbspec.report.description import Axis, Figure, Line, Mark, Panel, Points, measured, single, true_solution
 from gbspec.report.source import MissingError, Source
 
 IN_FILE, ON_PAGE = 4, 8
@@ -30,7 +30,7 @@ def figure(orbits: Sequence[Orbit], x: Axis, y: Axis) -> Figure:
         marks.append(Line(path[:, 0], path[:, 1], "model", width=1.2, alpha=0.85, hover=words * len(path)))
         marks.append(Points(path[:1, 0], path[:1, 1], size=3.5, layer=4, hover=words))
         if orbit.truth is not None:
-            marks.append(truth(orbit.truth[:, 0], orbit.truth[:, 1]))
+            marks.append(true_solution(orbit.truth[:, 0], orbit.truth[:, 1]))
         if len(orbit.measured):
             marks.append(measured(orbit.measured[:, 0], orbit.measured[:, 1]))
     return single(Panel(tuple(marks), x, y, legend=True, width=5.2, height=4.3))

@@ -37,6 +37,8 @@ TICK = 0.03
 """The length of a rug's ticks, as a share of the panel's height."""
 MOST = 6000
 """Points of a mark; of more, evenly spaced ones are drawn."""
+NAMES = 24
+"""Names of places on an axis."""
 EVEN = 8
 """Number of points from which evenly spaced ones are written as their first and their distance."""
 TOP, BOTTOM, BELOW_LEGEND = 15, 50, 80
@@ -150,6 +152,9 @@ def _axis(axis: Axis) -> Chart:
         made |= {"type": "log", "exponentformat": "power", "dtick": 1}
     if axis.range is not None:
         made["range"] = [math.log10(end) if axis.log else end for end in axis.range]
+    if axis.names:
+        shown = axis.ticks(NAMES)
+        made |= {"tickvals": [place for place, _ in shown], "ticktext": [name for _, name in shown]}
     if not axis.shown:
         made |= {"showticklabels": False, "showgrid": False}
     return made

@@ -97,7 +97,7 @@ class _Reader:
     def _signed(self) -> Fraction:
         sign = self._tokens[self._next][2]
         self._next += sign in ("+", "-")
-        value = Fraction(self._tokens[self._next][0])
+        value = Fraction(self._tokens[self._next][0]).limit_denominator(1000)  # thirds are written with nine digits
         self._next += 1
         return -value if sign == "-" else value
 

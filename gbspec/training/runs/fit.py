@@ -269,8 +269,9 @@ def _data_record(trajectories: Trajectories, model: Model, run: Path) -> DataRec
     except ValueError:  # on another drive
         relative = None
     form = trajectories.meta.get("format")
+    content = content_digest(trajectories)
     return DataRecord(
-        trajectories.path, trajectories.sha256, *counts, str(absolute), relative, form, conditions=conditions
+        trajectories.path, trajectories.sha256, *counts, str(absolute), relative, form, conditions, content
     )
 
 
