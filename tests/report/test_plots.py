@@ -26,7 +26,7 @@ from gbspec.report.content import (
     Slice,
     TrajectoryFit,
 )
-from gbspec.report.description import Axis
+from gbspec.report.description import Axis, Line, Points
 from gbspec.report.drawn import drawn
 from gbspec.report.figures import constants, fit, functions, history, initial_states, phase, residuals, summary
 from gbspec.report.html.charts import stack
@@ -192,6 +192,17 @@ def test_history_has_the_loss_and_each_constant() -> None:
     assert [axes.get_ylabel() for axes in made.axes] == ["loss", "k"]
     assert made.axes[0].get_yscale() == "log"
     assert [text.get_text() for text in made.axes[0].texts] == ["warm", "fit"]
+
+
+def test_losses_of_stages_are_not_joined() -> None:
+    stages = ("warm", "search", "search", "likelihood", "likelihood")
+    member = History(0, stages, np.arange(5.0), np.array([1.0, 0.2, 0.1, 1.4, 1.3]), {})
+    line, alone = history.figure([member]).rows[0][0].rows[0].panels[0].marks[-2:]
+    assert isinstance(line, Line)
+    np.testing.assert_array_equal(line.y, [1.0, np.nan, 0.2, 0.1, np.nan, 1.4, 1.3])
+    assert line.hover == ("warm", "", "search", "search", "", "likelihood", "likelihood")
+    assert isinstance(alone, Points)
+    assert (alone.x.tolist(), alone.hover) == ([0.0], ("warm",))
 
 
 def test_a_loss_that_falls_by_orders_of_magnitude_is_drawn_to_its_end() -> None:

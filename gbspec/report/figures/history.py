@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
+
 from gbspec.report import collect
 from gbspec.report.content import History
-from gbspec.report.description import Axis, Block, Figure, Line, Mark, Panel, Row, Span, Text
+from gbspec.report.description import Axis, Block, Figure, Line, Mark, Panel, Points, Row, Span, Text
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import MEMBERS
 
@@ -21,10 +23,11 @@ def build(source: Source) -> Figure:
 
 
 def figure(members: Sequence[History]) -> Figure:
-    """The loss, and below it each constant; every other stage of the first member is shaded."""
+    """The loss, in each stage by itself since every stage has its own, and below it each constant; every other stage of
+    the first member is shaded."""
     grounds, words = _stages(members[0])
     time = Axis("time of training", "s")
-    loss = Panel((*grounds, *words, *_curves(members, None)), time, Axis("loss", log=True), "",
+    loss = Panel((*grounds, *words, *_losses(members)), time, Axis("loss", log=True), "",
                  legend=True, width=6.4, height=2.6)  # fmt: skip
     constants = [
         Panel((*grounds, *_curves(members, name)), time, Axis(name), width=6.4, height=1.25)
@@ -33,13 +36,34 @@ def figure(members: Sequence[History]) -> Figure:
     return Figure(((Block(tuple(Row((panel,)) for panel in (loss, *constants)), shared="column"),),))
 
 
-def _curves(members: Sequence[History], name: str | None) -> list[Mark]:
-    """A constant, or the loss, of each member."""
+def _losses(members: Sequence[History]) -> list[Mark]:
+    """The loss of each member with a gap between stages; of a stage with one value a point."""
+    marks: list[Mark] = []
+    for k, member in enumerate(members):
+        label, color = f"member {member.member}", MEMBERS[k % len(MEMBERS)]
+        gaps = _starts(member)[1:]
+        seconds, loss = (np.insert(each, gaps, np.nan) for each in (member.seconds, member.loss))
+        hover = [stage for i, stage in enumerate(member.stage) for stage in ("", stage)[(i not in gaps) :]]
+        marks.append(Line(seconds, loss, label, color, 1.3, hover=tuple(hover)))
+        alone = [a for a, b in pairwise([*_starts(member), len(member.stage)]) if b == a + 1]
+        if alone:
+            names = tuple(member.stage[i] for i in alone)
+            marks.append(Points(member.seconds[alone], member.loss[alone], label, color, 2.6, hover=names))
+    return marks
+
+
+def _curves(members: Sequence[History], name: str) -> list[Mark]:
+    """A constant of each member."""
     return [
-        Line(m.seconds, m.loss if name is None else m.constants[name], f"member {m.member}",
-             MEMBERS[k % len(MEMBERS)], 1.3, hover=m.stage)
+        Line(m.seconds, m.constants[name], f"member {m.member}", MEMBERS[k % len(MEMBERS)], 1.3, hover=m.stage)
         for k, m in enumerate(members)
-    ]  # fmt: skip
+    ]
+
+
+def _starts(member: History) -> list[int]:
+    """Where each stage begins."""
+    stage = member.stage
+    return [i for i in range(len(stage)) if i == 0 or stage[i] != stage[i - 1]]
 
 
 def _stages(member: History) -> tuple[list[Span], list[Text]]:
@@ -47,7 +71,7 @@ def _stages(member: History) -> tuple[list[Span], list[Text]]:
     if not member.stage:
         return [], []
     stage, seconds = member.stage, member.seconds
-    starts = [0, *(i for i in range(1, len(stage)) if stage[i] != stage[i - 1])]
+    starts = _starts(member)
     total = float(seconds[-1] - seconds[0]) or 1.0
     grounds, words = [], []
     for k, (first, last) in enumerate(pairwise([*starts, len(stage) - 1])):
