@@ -161,7 +161,8 @@ class History:
 class Residuals:
     """The residuals [N] of one channel (see `gbspec.ir.residual`) at `times` [N] of all trajectories.
 
-    `predicted` [N] are the values there in the channel's unit; `logarithmic`: the residuals are of logarithms.
+    `predicted` [N] are the values there in the channel's unit; `logarithmic`: the residuals are of logarithms;
+    `counts`: they are of counts on the scale of their noise.
     """
 
     name: str
@@ -170,6 +171,7 @@ class Residuals:
     residual: Array
     logarithmic: bool = False
     unit: str = ""
+    counts: bool = False
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from gbspec.data import Trajectories
 from gbspec.diagnostics import Findings
 from gbspec.ir import ErrorScale
 from gbspec.operations import tables
+from gbspec.report import collect
 from gbspec.report.html.tables import metrics
 from gbspec.report.text import run_summary
 from gbspec.report.verdict import verdict
@@ -104,6 +105,9 @@ def test_residuals_of_counts_are_those_on_the_scale_of_their_noise(
     first, second = errors[:, :-1], errors[:, 1:]
     expected = np.sum(first * second) / np.sqrt(np.sum(first**2) * np.sum(second**2))
     assert record.autocorrelation == pytest.approx(expected, abs=1e-3)
+    (shown,) = collect.residuals(collect.Fitted(run, data))
+    assert shown.counts
+    assert shown.residual == pytest.approx(errors.ravel(), abs=1e-2)
 
 
 def test_the_worst_row_is_the_farthest_on_the_scale_of_the_noise(
