@@ -90,6 +90,8 @@ DECAY = "model m\ntime t\nstate x = 1\nlearn k = 1\nlearn r = 1\n{}\nobserve {}\
         ("input u held\nx' = u*x", "x noise lognormal(0.3)", False),
         ("x' = -k*x", "x noise lognormal(0.3)\ndose x", False),
         ("x' = if(t > 2, k, r)*x", "x noise lognormal(0.3)", False),
+        ("x' = 0*k", "x noise poisson", True),
+        ("x' = k", "x noise poisson", False),
     ],
 )
 def test_a_model_that_is_a_straight_line_need_not_be_better_than_one(balance: str, observed: str, line: bool) -> None:

@@ -29,8 +29,8 @@ def figure(channels: Sequence[Residuals], time: str = "t", unit: str = "") -> Fi
 def _row(channel: Residuals, time: Axis) -> Row:
     values = channel.residual
     rms = float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
-    on_scale = " on the scale of its noise" if channel.counts else ""
-    y = Axis(f"residual of {'ln ' if channel.logarithmic else ''}{channel.name}{on_scale}")
+    scaled = "scaled " if channel.counts else ""
+    y = Axis(f"{scaled}residual of {'ln ' if channel.logarithmic else ''}{channel.name}")
     counts, edges = np.histogram(values, bins=max(5, min(40, int(math.sqrt(max(len(values), 1))))))
     predicted = Axis(f"predicted {channel.name}", channel.unit)
     titles = (f"{channel.name}: {counted(len(values), 'value')}, rms {rms:.2g}", "")
