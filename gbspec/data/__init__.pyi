@@ -61,6 +61,8 @@ from .statistics import FLAT as FLAT
 from .statistics import channel_scales as channel_scales
 from .statistics import channel_statistics as channel_statistics
 from .statistics import deviations as deviations
+from .statistics import error_deviation as error_deviation
+from .statistics import error_deviations as error_deviations
 from .statistics import evenly_spaced as evenly_spaced
 from .statistics import measured_scale as measured_scale
 from .statistics import scale_of_logarithms as scale_of_logarithms

@@ -6,14 +6,14 @@ corrected for the number of fitted parameters (n / (n - k)).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectories
-from gbspec.ir import Model, logarithmic
+from gbspec.ir import ErrorScale, Model
 
 Predictor = Callable[[Array, Array], Array]
 
@@ -49,12 +49,12 @@ class Naive:
     r2: float
 
 
-def naive_predictors(model: Model, trajectories: Trajectories) -> dict[str, Naive]:
-    """The best naive predictor of each channel (of its logarithms, if its noise is log-normal); none for a channel
-    that does not vary."""
-    log, out = logarithmic(model), {}
+def naive_predictors(model: Model, trajectories: Trajectories, scales: Sequence[ErrorScale]) -> dict[str, Naive]:
+    """The best naive predictor of each channel, of values on its scale of errors (`gbspec.ir.error_scales`); none for a
+    channel that does not vary."""
+    out = {}
     for index, channel in enumerate(model.channels):
-        series = [_series(item.times, item.values[:, index], bool(log[index])) for item in trajectories.items]
+        series = [_series(item.times, item.values[:, index], scales[index]) for item in trajectories.items]
         variance = variance_of([y for _, y in series])
         if variance > 0:
             errors = {name: _error(series, *known) for name, known in PREDICTORS.items()}
@@ -70,10 +70,11 @@ def variance_of(values: list[Array]) -> float:
     return float(joined.var()) if varies else 0.0
 
 
-def _series(t: Array, y: Array, log: bool) -> tuple[Array, Array]:
-    """Times and values of the measurements of a channel in a trajectory."""
-    seen = np.isfinite(y) & ((y > 0) | (not log))
-    return t[seen], np.log(y[seen]) if log else y[seen]
+def _series(t: Array, y: Array, scale: ErrorScale) -> tuple[Array, Array]:
+    """Times and values of the measurements of a channel in a trajectory, those that the scale has."""
+    values = scale.measured(y)
+    seen = np.isfinite(values)
+    return t[seen], values[seen]
 
 
 def _error(series: list[tuple[Array, Array]], predictor: Predictor, parameters: int) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectories
-from gbspec.ir import Model, logarithmic
+from gbspec.ir import ErrorScale, Model, logarithmic
 
 MAD_TO_SD = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""
@@ -79,6 +80,17 @@ def deviations(model: Model, trajectories: Trajectories) -> Array:
     columns = np.concatenate([np.zeros((0, len(model.channels))), *(item.values for item in trajectories.items)]).T
     each = zip(columns, logarithmic(model), strict=True)
     return np.array([scale_of_logarithms(column) if log else measured_scale(column) for column, log in each])
+
+
+def error_deviations(trajectories: Trajectories, scales: Sequence[ErrorScale]) -> Array:
+    """The same [C] of errors: of the measured values of each channel on its scale (`gbspec.ir.error_scales`)."""
+    columns = np.concatenate([np.zeros((0, len(scales))), *(item.values for item in trajectories.items)]).T
+    return np.array([error_deviation(column, scale) for column, scale in zip(columns, scales, strict=True)])
+
+
+def error_deviation(values: Array, scale: ErrorScale) -> float:
+    """A positive scale of the errors of measured values of one channel."""
+    return scale_of_logarithms(values) if scale.logarithms else measured_scale(scale.measured(values))
 
 
 def scale_of_logarithms(values: Array) -> float:

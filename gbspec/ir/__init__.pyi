@@ -17,6 +17,7 @@ from .coordinates import Coordinate as Coordinate
 from .coordinates import coordinates_of as coordinates_of
 from .counts import count_moments as count_moments
 from .counts import count_quantile as count_quantile
+from .counts import count_size as count_size
 from .counts import counted_channels as counted_channels
 from .counts import noise_form as noise_form
 from .delays import Delay as Delay
@@ -35,6 +36,10 @@ from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
+from .error_scale import OF_COUNTS as OF_COUNTS
+from .error_scale import ErrorScale as ErrorScale
+from .error_scale import error_scales as error_scales
+from .error_scale import on_error_scales as on_error_scales
 from .evaluated import informative_at_start as informative_at_start
 from .evaluated import named as named
 from .evaluated import right_sides as right_sides
@@ -103,7 +108,6 @@ from .residual import LEAST_PREDICTED as LEAST_PREDICTED
 from .residual import LEAST_SIZE as LEAST_SIZE
 from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic
-from .residual import on_fitted_scale as on_fitted_scale
 from .residual import residuals as residuals
 from .residual import slopes as slopes
 from .schedule import delayed_inputs as delayed_inputs

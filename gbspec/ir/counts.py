@@ -18,16 +18,22 @@ def count_moments(
     model: Model, channel: int, mean: NDArray[np.float64], constants: Mapping[str, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and variance [R] of the counts of a channel where it has the values `mean` [R]."""
-    noise = model.channels[channel].noise
     f = np.maximum(mean, LEAST_COUNT)
+    return f, f + f * (f / count_size(model, channel, constants))
+
+
+def count_size(model: Model, channel: int, constants: Mapping[str, float]) -> float:
+    """The size of the negative binomial counts of a channel; infinite for Poisson's. `constants` has the values of
+    learnables."""
+    noise = model.channels[channel].noise
     if noise is None or noise.shape is None:
-        return f, f
+        return np.inf
     from sympy import Float
 
     from gbspec.ir.symbols import symbol
 
-    size = float(noise.shape.xreplace({symbol(name): Float(value) for name, value in constants.items()}))
-    return f, f + f**2 / size
+    known = {one.name: one.value for one in model.constants} | dict(constants)
+    return float(noise.shape.xreplace({symbol(name): Float(value) for name, value in known.items()}))
 
 
 def noise_form(channel: Channel) -> NoiseForm | None:

@@ -39,26 +39,6 @@ def logarithmic(model: Model) -> NDArray[np.bool_]:
     return np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=np.bool_)
 
 
-def on_fitted_scale(
-    measured: NDArray[np.float64],
-    predicted: NDArray[np.float64],
-    logarithmic: NDArray[np.bool_] | bool,
-    least: float = np.nan,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Measured values and predictions [..., C] on the scale of the residuals, on which R² is computed: logarithms where
-    `logarithmic` [C].
-
-    A measured value without a logarithm becomes NaN, and so does a prediction of zero or less, unless `least` replaces
-    it.
-    """
-    if not np.any(logarithmic):
-        return measured, predicted
-    with np.errstate(divide="ignore", invalid="ignore"):
-        of_measured = np.where(measured > 0, np.log(measured), np.nan)
-        of_predicted = np.log(np.where(predicted <= 0, least, predicted))
-    return np.where(logarithmic, of_measured, measured), np.where(logarithmic, of_predicted, predicted)
-
-
 def residuals(
     predicted: Value,
     measured: Value,

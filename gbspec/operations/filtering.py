@@ -31,16 +31,15 @@ def errors_ahead(
     """The errors of predictions by the number of rows that they are ahead, and by channel, and the worst row of those
     one row ahead; of the filter of one member."""
     from gbspec.analysis import channel_errors, worst_ahead
-    from gbspec.ir import logarithmic
 
     if not filtered.finite:
         return {}, None
     measured = np.concatenate([item.values[item.times >= item.start] for item in data.items])
-    out, log = {}, logarithmic(run.model)
+    out, scales = {}, run.fit.error_scales(run.model)
     for name, steps in STEPS.items():
         found = np.concatenate(filtered.ahead(steps))
         out[name] = {
-            c.name: channel_errors(measured[:, j], found[:, j], bool(log[j])) for j, c in enumerate(run.model.channels)
+            c.name: channel_errors(measured[:, j], found[:, j], scales[j]) for j, c in enumerate(run.model.channels)
         }
     spreads = (one.channel_sd for one in filtered.one_ahead())
     return out, worst_ahead(run, data, 1, list(zip(filtered.ahead(1), spreads, strict=True)))
@@ -76,7 +75,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
     from gbspec.training import filter_run
 
     filtered = filter_run(run, data, run.best, window)
-    model, ranges = run.model, Trained.of(run)
+    model, ranges, scales = run.model, Trained.of(run), run.fit.error_scales(run.model)
     known = continued(run.member(run.best).info.get("beginnings"), data.items)
     items: list[PredictedTrajectory] = []
     hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
@@ -106,6 +105,7 @@ def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forec
                 filtered.estimated,
                 log,
                 f"the moments of the filter are not finite from {item.times[rows][lost][0]:g} on" if lost.any() else "",
+                scales=scales,
             )
         )
     channels, states = tuple(c.name for c in model.channels), tuple(s.name for s in model.states)

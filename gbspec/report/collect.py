@@ -215,7 +215,8 @@ def _given_value(condition: Condition, value: float) -> str:
 
 
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
-    """The residuals of the training objective for the mean of the members, at every measurement."""
+    """The residuals of the training objective for the mean of the members, at every measurement; of counts those on the
+    scale of their noise."""
     model, data = fitted.model, fitted.data
     scales = fitted.scales
     times = np.concatenate([item.times for item in data.items])
@@ -225,8 +226,11 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
         np.concatenate(each) for each in zip(*((item.values, scales.factor(item)) for item in present), strict=True)
     )
     found = residuals_of(predicted, measured, factor, scales.log)
-    shown = []
-    for j, channel in enumerate(model.channels):
+    shown, number = [], np.concatenate([item.counts for item in present])
+    for j, (channel, scale) in enumerate(zip(model.channels, fitted.run.fit.error_scales(model), strict=True)):
+        if scale.size is not None:
+            off = scale.predicted(predicted[:, j], number=number[:, j]) - scale.measured(measured[:, j])
+            found[:, j] = np.sqrt(number[:, j]) * off
         seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
         shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j]),
                                channel_unit(model, channel)))  # fmt: skip

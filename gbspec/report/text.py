@@ -319,7 +319,7 @@ def run_summary(run: Run) -> str:
         lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
         parts.append(table(["member", "loss", "time"], lines))
         parts.append(_channels(members))
-        parts += [*_of_logarithms(run), *_of_averages(members), *_of_stated_noise(members)]
+        parts += [*_of_scales(run), *_of_averages(members), *_of_stated_noise(members)]
     if run.fit.solver_reason:
         parts.append(f"solver `{run.fit.solver}`: {run.fit.solver_reason}")
     parts += [
@@ -332,13 +332,14 @@ def run_summary(run: Run) -> str:
     return "\n\n".join(parts)
 
 
-def _of_logarithms(run: Run) -> list[str]:
-    """What is to be said of channels whose noise is that of logarithms."""
-    from gbspec.ir import logarithmic
+def _of_scales(run: Run) -> list[str]:
+    """What is to be said of channels whose noise is that of logarithms, and of those that are counts."""
+    from gbspec.ir import OF_COUNTS, counted_channels, logarithmic
 
-    marked = logarithmic(run.model)
-    names = [f"`{c.name}`" for c, log in zip(run.model.channels, marked, strict=True) if log]
-    return [f"R² of {', '.join(names)}: of logarithms, as the noise is"] if names else []
+    found = ((logarithmic(run.model), "of logarithms, as the noise is"), (counted_channels(run.model), OF_COUNTS))
+    each = [([f"`{c.name}`" for c, one in zip(run.model.channels, marked, strict=True) if one], of)
+            for marked, of in found]  # fmt: skip
+    return [f"R² of {', '.join(names)}: {of}" for names, of in each if names]
 
 
 def _of_averages(members: Sequence[MemberRecord]) -> list[str]:

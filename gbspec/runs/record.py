@@ -17,7 +17,7 @@ from gbspec.backends import INTERFACE
 from gbspec.data import Scales, Trajectories, scales_of
 from gbspec.diagnostics import Findings
 from gbspec.files import finite
-from gbspec.ir import METHODS, RK4, Model, Network, logarithmic
+from gbspec.ir import METHODS, RK4, ErrorScale, Model, Network, error_scales, logarithmic
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.runs.member import MemberRecord
@@ -205,6 +205,10 @@ class FitRecord:
         """The scales of residuals for a table: those of the training, so that few rows are weighed as in the fit; those
         of the table itself in older runs."""
         return scales_of(model, trajectories) if self.scales is None else self.scales.scales(model)
+
+    def error_scales(self, model: Model) -> tuple[ErrorScale, ...]:
+        """The scale on which errors of each channel are judged, of counts with the learned size."""
+        return error_scales(model, {k: one.value for k, one in self.constants.items() if one.value is not None})
 
     def to_json(self) -> JsonObject:
         """The content of `fit.json` as a JSON object."""

@@ -10,6 +10,7 @@ from gbspec.analysis.validation.metrics import channel_errors
 from gbspec.analysis.validation.step_check import StepCheck
 from gbspec.analysis.validation.validate import Validation, WorstRow, validate
 from gbspec.data import Trajectories
+from gbspec.ir import ErrorScale
 from gbspec.report.html.tables import metrics
 from gbspec.report.verdict import verdict
 from gbspec.runs.store import Run
@@ -110,7 +111,7 @@ def test_errors_of_logarithms_are_told_as_relative_errors(size: float, said: str
 
 def test_only_errors_of_logarithms_are_marked() -> None:
     measured, predicted = np.array([1.0, 10.0, 100.0, 0.0]), np.array([2.0, 10.0, 100.0, 1.0])
-    plain, logs = channel_errors(measured, predicted), channel_errors(measured, predicted, logarithms=True)
+    plain, logs = channel_errors(measured, predicted), channel_errors(measured, predicted, ErrorScale(logarithms=True))
     assert "logarithms" not in plain.to_json()
     assert logs.to_json()["logarithms"] is True
     assert (plain.n, logs.n) == (4, 3), "a measured zero has no logarithm"
@@ -118,4 +119,4 @@ def test_only_errors_of_logarithms_are_marked() -> None:
     assert logs.nrmse == pytest.approx(np.sqrt(np.log(2) ** 2 / 3) / np.std(np.log([1, 10, 100])))
     assert logs.r2 == pytest.approx(1 - logs.nrmse**2)
     assert "of logarithms" not in str(Validation("mean", {"x": plain}, (), StepCheck(None, None)))
-    assert channel_errors(np.ones(3), np.full(3, np.e), logarithms=True).nrmse == pytest.approx(1)
+    assert channel_errors(np.ones(3), np.full(3, np.e), ErrorScale(logarithms=True)).nrmse == pytest.approx(1)

@@ -16,6 +16,7 @@ from gbspec.analysis.validation.step_check import StepCheck
 from gbspec.analysis.validation.validate import Validation, validate
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
+from gbspec.ir import ErrorScale
 from gbspec.runs.store import Run
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of, trajectory
@@ -95,7 +96,7 @@ def test_an_interval_by_a_factor_is_above_zero_or_none() -> None:
 
 def test_errors_without_a_single_logarithm() -> None:
     measured = np.array([1.0, 2.0])
-    one = channel_errors(measured, -measured, logarithms=True)
+    one = channel_errors(measured, -measured, ErrorScale(logarithms=True))
     assert (one.n, one.not_positive) == (2, 2)
     assert one.rmse == pytest.approx(np.sqrt(10))
     assert np.isnan([one.nrmse, one.r2]).all()

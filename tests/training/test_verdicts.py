@@ -12,6 +12,7 @@ from gbspec.analysis import forecast
 from gbspec.data import LINE
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import ErrorScale
 from gbspec.runs import (
     ChannelRecord,
     DataRecord,
@@ -89,6 +90,8 @@ DECAY = "model m\ntime t\nstate x = 1\nlearn k = 1\nlearn r = 1\n{}\nobserve {}\
         ("input u held\nx' = u*x", "x noise lognormal(0.3)", False),
         ("x' = -k*x", "x noise lognormal(0.3)\ndose x", False),
         ("x' = if(t > 2, k, r)*x", "x noise lognormal(0.3)", False),
+        ("x' = 0*k", "x noise poisson", True),
+        ("x' = k", "x noise poisson", False),
     ],
 )
 def test_a_model_that_is_a_straight_line_need_not_be_better_than_one(balance: str, observed: str, line: bool) -> None:
@@ -348,9 +351,9 @@ def test_predictions_of_zero_in_logarithms_have_a_bad_figure_and_not_none() -> N
     data = Trajectories((trajectory("1", 0.0, t, np.exp(-t)[:, None], []),), ("x",))
     problem, _, _ = problem_of(model, data, 0.1)
     mean = problem.packed.values.copy()  # [R, 1]
-    assert _r2(problem, mean, 0) == pytest.approx(1)
+    assert _r2(problem, mean, 0, ErrorScale(logarithms=True)) == pytest.approx(1)
     mean[np.flatnonzero(problem.valued[:, 0])[:2], 0] = 0.0, -1e-3
-    found = _r2(problem, mean, 0)
+    found = _r2(problem, mean, 0, ErrorScale(logarithms=True))
     assert found is not None and found < -100
 
 

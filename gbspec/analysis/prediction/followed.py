@@ -15,7 +15,7 @@ import numpy as np
 from gbspec.analysis.prediction.noise import residual_noise
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir import LEAST_PREDICTED, logarithmic, on_fitted_scale
+from gbspec.ir import LEAST_PREDICTED, ErrorScale, logarithmic
 
 if TYPE_CHECKING:
     from gbspec.data import Scales, Trajectory
@@ -56,20 +56,21 @@ def missed(model: Model, fit: FitRecord, scales: Scales, item: Trajectory, chann
     has; None if it follows them, or if that cannot be told."""
     log, found = logarithmic(model), list[Missed]()
     noise, known = residual_noise(model, fit, channels), _errors(fit)
-    values, predicted = on_fitted_scale(item.values, channels, log, LEAST_PREDICTED)
     for j, channel in enumerate(model.channels):
+        scale = ErrorScale(bool(log[j]))
+        values, predicted = scale.measured(item.values[:, j]), scale.predicted(channels[:, j], LEAST_PREDICTED)
         own = item.sd[:, j] / np.abs(item.values[:, j]) if log[j] else item.sd[:, j]
         of_average = noise[:, j] / np.sqrt(np.maximum(item.counts[:, j], 1.0))
         expected = np.fmax(of_average, own)  # that of single rows, where the table states it
         if not log[j]:
             expected = np.fmax(expected, known.get(channel.name, 0.0))
-        seen = np.isfinite(values[:, j]) & np.isfinite(predicted[:, j]) & (expected > 0)
+        seen = np.isfinite(values) & np.isfinite(predicted) & (expected > 0)
         if item.limits is not None:
             seen &= item.limits.side[:, j] == 0  # values beyond a limit are not missed
         count = int(seen.sum())
         if count < ENOUGH:
             continue
-        residual, typical = (values - predicted)[seen, j], expected[seen]
+        residual, typical = (values - predicted)[seen], expected[seen]
         rmse = float(np.sqrt(np.mean(residual**2)))
         if np.mean((residual / typical) ** 2) > FAR and rmse > VISIBLE * scales.deviation[j]:
             fitted = float(np.sqrt(np.mean(typical**2)))

@@ -32,7 +32,7 @@ from gbspec.data import TRAJECTORY, present_values
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted
-from gbspec.ir import counted_channels, logarithmic, on_fitted_scale
+from gbspec.ir import ErrorScale, counted_channels, logarithmic
 from gbspec.runs import NORMAL_90, said_of_training
 
 if TYPE_CHECKING:
@@ -66,7 +66,8 @@ class PredictedTrajectory:
     `outside` the quantities outside their trained ranges in it; `in_logarithms` [V] marks the variables whose intervals
     are multiplicative, `counted` [V] those that are counts; `quantile` is half their width in standard deviations.
     `alike` is the label of the trajectory of the training data that has the same rows, if it is another one.
-    `others` are further means and deviations [R, V], of rows that may be on the other side of an event.
+    `others` are further means and deviations [R, V], of rows that may be on the other side of an event. `scales` are
+    those of errors of the channels.
     """
 
     label: str
@@ -84,6 +85,7 @@ class PredictedTrajectory:
     counted: Mask | bool = False
     others: tuple[tuple[Array, Array], ...] = ()
     alike: str = ""
+    scales: tuple[ErrorScale, ...] = ()
 
     @property
     def low(self) -> Array:
@@ -107,7 +109,8 @@ class Errors:
 
     `rmse` is in the channel's unit; `nrmse` is relative to the standard deviation of these measurements, both of
     logarithms where the noise is log-normal (`logarithms`), as is `rmse_of_logarithms`. These leave out the
-    `not_positive` predictions, which have no logarithm; their measurements are in no interval.
+    `not_positive` predictions, which have no logarithm; their measurements are in no interval. Of `counts` `nrmse` is
+    on the scale of their noise.
     """
 
     n: int
@@ -117,18 +120,22 @@ class Errors:
     logarithms: bool = False
     rmse_of_logarithms: float = math.nan
     not_positive: int = 0
+    counts: bool = False
 
     def to_json(self) -> dict[str, object]:
-        """The errors as JSON; undefined numbers are null, and `logarithms` is there where these are compared."""
+        """The errors as JSON; undefined numbers are null, and `logarithms` or `counts` is there where these are
+        compared."""
         numbers = {name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}
         more = {"logarithms": True, "rmse_of_logarithms": finite(self.rmse_of_logarithms)} if self.logarithms else {}
+        more |= {"counts": True} if self.counts else {}
         more |= {"not_positive": self.not_positive} if self.not_positive else {}
         return {"n": self.n, **numbers, **more}
 
     def __str__(self) -> str:
         what = counted(self.n, "measurement that was not used", "measurements that were not used")
         # The standard deviation of equal measurements is 0.
-        relative = f", {self.nrmse:.3g} of their standard deviation" if math.isfinite(self.nrmse) else ""
+        on_scale = " on the scale of their noise" if self.counts else ""
+        relative = f", {self.nrmse:.3g} of their standard deviation{on_scale}" if math.isfinite(self.nrmse) else ""
         if self.logarithms:
             size = self.rmse_of_logarithms
             typical = f"error of {100 * size:.2g} %" if size < RELATIVE else f"factor of {math.exp(size):.2g}"
@@ -193,15 +200,16 @@ class Forecast(Tabled):
             seen = np.isfinite(measured) & np.isfinite(mean)
             if seen.any():
                 rmse = float(np.sqrt(np.mean((measured - mean)[seen] ** 2)))
-                log = any(bool(item.in_logarithms[j]) for item, _ in parts)
-                values, predicted = on_fitted_scale(measured[seen], mean[seen], log)
+                scale = parts[0][0].scales[j]
+                log, values, predicted = scale.logarithms, scale.measured(measured[seen]), scale.predicted(mean[seen])
                 inside = (measured >= low) & (measured <= high)
                 known = np.isfinite(values) & np.isfinite(predicted)
                 width = float(np.std(values[known])) if known.any() else math.nan
                 size = float(np.sqrt(np.mean((values - predicted)[known] ** 2))) if known.any() else math.nan
                 relative, covered = size / width if width > 0 else math.nan, float(np.mean(inside[seen]))
-                below = int((mean[seen] <= 0).sum()) if log else 0
-                found[name] = Errors(int(seen.sum()), rmse, relative, covered, log, size if log else math.nan, below)
+                below, of_logs = int((mean[seen] <= 0).sum()) if log else 0, size if log else math.nan
+                counts, n = scale.size is not None, int(seen.sum())
+                found[name] = Errors(n, rmse, relative, covered, log, of_logs, below, counts)
         return found
 
     def to_json(self) -> dict[str, object]:
@@ -434,4 +442,4 @@ def _joined(each: Sequence[MemberPredictions], index: int, window: int | None, k
     alike = labels[position] if position is not None and start.origin == "learned" and labels else ""
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
                                in_logarithms, failure, each[0].run.fit.quantile, counted, others,
-                               "" if alike == item.label else alike)  # fmt: skip
+                               "" if alike == item.label else alike, each[0].run.fit.error_scales(model))  # fmt: skip

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import FLAT, measured_scale, scale_of_logarithms
+from gbspec.data import FLAT, error_deviation
 from gbspec.files import finite
-from gbspec.ir import on_fitted_scale
+from gbspec.ir import OF_COUNTS, ErrorScale
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,8 @@ class ChannelErrors:
     `nrmse` is the root mean square of the errors over the standard deviation of the measured values (their magnitude,
     if they do not vary), so that `r2 = 1 - nrmse**2`; `r2` is NaN if the values do not vary. With `logarithms` these
     two are of the logarithms of values and predictions, on which channels with log-normal noise are fitted, and leave
-    out the `not_positive` predictions, which have none.
+    out the `not_positive` predictions, which have none; with `counts` they are of counts on the scale of their noise
+    (`gbspec.ir.ErrorScale`).
     """
 
     n: int
@@ -116,10 +117,11 @@ class ChannelErrors:
     r2: float
     logarithms: bool = False
     not_positive: int = 0
+    counts: bool = False
 
     def to_json(self) -> dict[str, object]:
-        """Keys n, rmse, nrmse, mae, r2, null for an undefined number; and logarithms, where these are compared, with
-        not_positive, where there are such predictions."""
+        """Keys n, rmse, nrmse, mae, r2, null for an undefined number; and logarithms or counts, where these are
+        compared, with not_positive, where there are such predictions."""
         document: dict[str, object] = {
             "n": self.n,
             "rmse": finite(self.rmse),
@@ -127,17 +129,22 @@ class ChannelErrors:
             "mae": finite(self.mae),
             "r2": finite(self.r2),
         }
-        document |= {"logarithms": True} if self.logarithms else {}
+        document |= {"logarithms": True} if self.logarithms else {"counts": True} if self.counts else {}
         return document | ({"not_positive": self.not_positive} if self.not_positive else {})
 
 
-def channel_errors(measured: Array, predicted: Array, logarithms: bool = False) -> ChannelErrors:
-    """Errors of one channel; both arrays of the same shape, NaN for values that are not compared."""
-    scaled = on_fitted_scale(measured, predicted, logarithms)
+def channel_errors(
+    measured: Array, predicted: Array, scale: ErrorScale | None = None, number: Array | float = 1.0
+) -> ChannelErrors:
+    """Errors of one channel; arrays of the same shape, NaN for values that are not compared. `scale` (default: of
+    values) is that of nrmse and R², `number` how many measurements each value averages."""
+    scale = scale or ErrorScale()
+    logarithms, counts = scale.logarithms, scale.size is not None
+    scaled = scale.measured(measured), scale.predicted(predicted, number=number)
     known = np.isfinite(scaled[0]) & np.isfinite(predicted)
     n = int(known.sum())
     if n == 0:
-        return ChannelErrors(0, math.nan, math.nan, math.nan, math.nan, logarithms)
+        return ChannelErrors(0, math.nan, math.nan, math.nan, math.nan, logarithms, counts=counts)
     difference = predicted[known] - measured[known]
     rmse, mae = float(np.sqrt(np.mean(difference**2))), float(np.mean(np.abs(difference)))
     compared = known & np.isfinite(scaled[1])
@@ -148,11 +155,13 @@ def channel_errors(measured: Array, predicted: Array, logarithms: bool = False) 
     total = float(np.sum((values - values.mean()) ** 2))
     varies = total > (FLAT * float(np.abs(values).max())) ** 2 * (n - left)
     r2 = 1.0 - float(np.sum(error**2)) / total if varies else math.nan
-    scale = scale_of_logarithms(measured[compared]) if logarithms else measured_scale(values)
-    return ChannelErrors(n, rmse, float(np.sqrt(np.mean(error**2))) / scale, mae, r2, logarithms, left)
+    nrmse = float(np.sqrt(np.mean(error**2))) / error_deviation(measured[compared], scale)
+    return ChannelErrors(n, rmse, nrmse, mae, r2, logarithms, left, counts)
 
 
-def said_of_logarithms(channels: Mapping[str, ChannelErrors], what: str) -> list[str]:
-    """A line that names the channels of which `what` is of logarithms; none if there are none."""
-    names = [f"`{name}`" for name, errors in channels.items() if errors.logarithms]
-    return [f"{what} of {', '.join(names)}: of logarithms, as the noise is"] if names else []
+def said_of_scales(channels: Mapping[str, ChannelErrors], what: str) -> list[str]:
+    """Lines that name the channels of which `what` is of logarithms or of counts; none if there are none."""
+    logs = [f"`{name}`" for name, errors in channels.items() if errors.logarithms]
+    counts = [f"`{name}`" for name, errors in channels.items() if errors.counts]
+    found = ((logs, "of logarithms, as the noise is"), (counts, OF_COUNTS))
+    return [f"{what} of {', '.join(names)}: {of}" for names, of in found if names]

@@ -24,16 +24,16 @@ from gbspec.analysis.prediction import (
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
-from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, said_of_logarithms, share_text
+from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, said_of_scales, share_text
 from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.analysis.validation.worst import WorstRow, worst_row
 from gbspec.arrays import Array
-from gbspec.data import deviations, present_values, said_of_ranges, states_beyond
+from gbspec.data import error_deviations, present_values, said_of_ranges, states_beyond
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted, of_rows
-from gbspec.ir import logarithmic, on_fitted_scale
+from gbspec.ir import logarithmic, on_error_scales
 from gbspec.runs import encode
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class Validation(Tabled):
 
     def to_frame(self) -> pl.DataFrame:
         """One row for each channel: `channel`, `n`, `rmse` and `mae` in the channel's unit, `nrmse` and `r2`; and
-        `logarithms`, where `nrmse` and `r2` of a channel are of these."""
+        `logarithms` or `counts`, where `nrmse` and `r2` of a channel are of these."""
         return of_rows({"channel": name, **errors.to_json()} for name, errors in self.channels.items())
 
     def summary(self) -> str:
@@ -109,6 +109,7 @@ class Validation(Tabled):
         who = "mean of the members" if self.member == "mean" else f"member {self.member}"
         parts = ", ".join(
             f"R² {share_text(one.r2)} of {'the logarithms of ' if one.logarithms else ''}{name}"
+            f"{' on the scale of its noise' if one.counts else ''}"
             for name, one in self.judged.items()
         )
         parts += " one row ahead" if parts and self.ahead else ""
@@ -190,7 +191,7 @@ class Validation(Tabled):
 
     def _rest(self) -> list[str]:
         """The lines after the tables."""
-        lines = said_of_logarithms(self.channels, "nrmse and r2")
+        lines = said_of_scales(self.channels, "nrmse and r2")
         lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.worst is not None:
             lines.append(str(self.worst))
@@ -242,7 +243,7 @@ def validate(
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         known = extrapolation_of(run, None if member == "mean" else member)
         present = present_values(run.model, trajectories)
-        channels, errors = _on_data(run.model, present, predicted, known)
+        channels, errors = _on_data(run, present, predicted, known)
         worst = worst_row(run, present, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         # With disturbances the step is the filter's, which does not solve from the start.
@@ -279,21 +280,22 @@ def _stacked(trajectories: Trajectories) -> Array:
 
 
 def _on_data(
-    model: Model, trajectories: Trajectories, predictions: Sequence[Prediction], known: Extrapolation | None
+    run: Run, trajectories: Trajectories, predictions: Sequence[Prediction], known: Extrapolation | None
 ) -> tuple[dict[str, ChannelErrors], tuple[TrajectoryError, ...]]:
-    measured = _stacked(trajectories)
+    measured, model = _stacked(trajectories), run.model
     predicted = np.concatenate(
         [one.channels if not one.failure else np.full(one.channels.shape, np.nan) for one in predictions]
     )
-    log, scales = logarithmic(model), deviations(model, trajectories)
+    number, scales = np.concatenate([item.counts for item in trajectories.items]), run.fit.error_scales(model)
+    deviation = error_deviations(trajectories, scales)
     channels = {
-        channel.name: channel_errors(measured[:, j], predicted[:, j], bool(log[j]))
+        channel.name: channel_errors(measured[:, j], predicted[:, j], scales[j], number[:, j])
         for j, channel in enumerate(model.channels)
     }
     errors = []
     for item, one in zip(trajectories.items, predictions, strict=True):
-        values, found = on_fitted_scale(item.values, one.channels, log)
-        relative = ((found - values) / scales)[np.isfinite(values) & np.isfinite(found)]
+        values, found = on_error_scales(scales, item.values, one.channels, item.counts)
+        relative = ((found - values) / deviation)[np.isfinite(values) & np.isfinite(found)]
         nrmse = float(np.sqrt(np.mean(relative**2))) if relative.size and not one.failure else float("nan")
         far = {} if one.failure else extrapolated(known, model, item, one.states, one.start)
         counts = {name: int(rows.sum()) for name, rows in far.items() if rows.any()}

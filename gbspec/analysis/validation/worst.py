@@ -10,8 +10,8 @@ import numpy as np
 
 from gbspec.analysis.prediction import Prediction, noise_at
 from gbspec.arrays import Array
-from gbspec.data import deviations
-from gbspec.ir import logarithmic, on_fitted_scale
+from gbspec.data import error_deviations
+from gbspec.ir import logarithmic, on_error_scales
 from gbspec.runs import OMITTED
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class WorstRow:
     """The measurement that is predicted worst, by its error in standard deviations of its channel's data; of their
-    logarithms, where the noise is log-normal (`logarithms`).
+    logarithms, where the noise is log-normal (`logarithms`), and of counts on the scale of their noise.
 
     The text has the error in terms of the measurement: in its `unit`, or relative to it where logarithms are compared,
     and in standard deviations of the noise (`of_noise`) where this is known: of the larger one of that of the fit and
@@ -64,16 +64,19 @@ class WorstRow:
 def worst_row(run: Run, trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
     """The measurement with the largest error; None if there is none that could be compared. With random disturbances,
     which lead measurements away from any solution, no error is compared with the noise of measurement."""
-    log, scales = logarithmic(run.model), deviations(run.model, trajectories)
-    found: WorstRow | None = None
+    scales = run.fit.error_scales(run.model)
+    deviation, found = error_deviations(trajectories, scales), None
     for item, one in zip(trajectories.items, predictions, strict=True):
-        values, predicted = on_fitted_scale(item.values, one.channels, log)
-        off = np.abs(predicted - values) / scales
+        values, predicted = on_error_scales(scales, item.values, one.channels, item.counts)
+        off = np.abs(predicted - values) / deviation
         if one.failure or not np.isfinite(off).any():
             continue
         row, column = np.unravel_index(int(np.nanargmax(off)), off.shape)
         if found is None or off[row, column] > found.deviations:
-            error, place = float(off[row, column] * scales[column]), (int(row), int(column))
+            place = (int(row), int(column))
+            error = float(np.abs(predicted - values)[place])
+            if scales[column].size is not None:  # told in standard deviations of the count itself
+                error = float(abs(one.channels[place] - item.values[place]))
             of_noise, stated = (None, False) if run.model.diffusions else _of_noise(run, item, one, place, error)
             found = WorstRow(
                 item.label,
@@ -82,7 +85,7 @@ def worst_row(run: Run, trajectories: Trajectories, predictions: Sequence[Predic
                 float(item.values[row, column]),
                 float(one.channels[row, column]),
                 float(off[row, column]),
-                bool(log[column]),
+                scales[column].logarithms,
                 of_noise,
                 run.model.channels[int(column)].unit or "",
                 stated,
@@ -117,12 +120,12 @@ def worst_ahead(
     """The measurement with the largest error of predictions so many rows ahead, in their standard deviations; None if
     there is none. `predictions` has both [R, C] for the rows of each trajectory from its start on; standard deviations
     are of logarithms where the noise is log-normal, and there is no prediction (NaN) where none is so far ahead."""
-    log, scales = logarithmic(run.model), deviations(run.model, trajectories)
-    found: WorstRow | None = None
+    scales = run.fit.error_scales(run.model)
+    deviation, found = error_deviations(trajectories, scales), None
     for item, (predicted, sd) in zip(trajectories.items, predictions, strict=True):
         here = item.times >= item.start
         measured = item.values[here]
-        values, fitted = on_fitted_scale(measured, predicted, log)
+        values, fitted = on_error_scales(scales, measured, predicted)
         error = np.abs(fitted - values)
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.where(sd > 0, error / sd, np.nan)
@@ -137,8 +140,8 @@ def worst_ahead(
                 channel.name,
                 float(measured[row, column]),
                 float(predicted[row, column]),
-                float(error[row, column] / scales[column]),
-                bool(log[column]),
+                float(error[row, column] / deviation[column]),
+                scales[column].logarithms,
                 unit=channel.unit or "",
                 ahead=rows,
                 of_prediction=float(off[row, column]),

@@ -21,14 +21,18 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
 
 
+_SCALES = {"logarithms": "logarithms", "counts": "counts on the scale of their noise"}
+"""What errors are of that are not of values, by the keys that say so."""
+
+
 def _errors(channels: JsonObject) -> Table:
     """The errors of channels."""
     keys = ("n", "rmse", "nrmse", "mae", "r2")
-    logs = any(one.get("logarithms") for one in channels.values())
-    header = ("channel", *keys, *(["nrmse and r2 of"] if logs else []))
+    told = any(one.get(of) for one in channels.values() for of in _SCALES)
+    header = ("channel", *keys, *(["nrmse and r2 of"] if told else []))
     rows = []
     for name, one in channels.items():
-        scale = ["logarithms" if one.get("logarithms") else "values"] if logs else []
+        scale = [next((text for of, text in _SCALES.items() if one.get(of)), "values")] if told else []
         rows.append((name, *(number(one[key], 5) for key in keys[:-1]), share(one[keys[-1]]), *scale))
     return Table(header, tuple(rows))
 

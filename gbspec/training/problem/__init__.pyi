@@ -28,6 +28,7 @@ from .path import Path as Path
 from .path import path_of as path_of
 from .path import with_doses as with_doses
 from .problem import Problem as Problem
+from .residuals import judged_residuals as judged_residuals
 from .residuals import limited as limited
 from .residuals import mean_loss as mean_loss
 from .residuals import measured_only as measured_only

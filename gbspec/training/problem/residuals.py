@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir import residuals, slopes
+from gbspec.ir import ErrorScale, residuals, slopes
 from gbspec.training.problem.problem import Problem
 
 OUTLYING, FEW = 4.0, 0.05
@@ -21,6 +23,19 @@ def residuals_of(problem: Problem, predicted: Array) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):  # predictions of a solution that is not finite
         given = problem.measured, problem.factor, problem.scaling.log
         return np.asarray(residuals(predicted, *given, censored=problem.censored))
+
+
+def judged_residuals(problem: Problem, predicted: Array, scales: Sequence[ErrorScale]) -> Array:
+    """The same by which a fit is judged: of counts differences on the scale of their noise (`gbspec.ir.error_scales`),
+    since the sum of squares weighs them by the root of the measured count alone."""
+    out, packed = residuals_of(problem, predicted), problem.packed
+    for i, scale in enumerate(scales):
+        seen = problem.valued[:, i]
+        if scale.size is not None and seen.any():
+            weight = packed.weights[seen, i]
+            off = scale.predicted(predicted[seen, i], number=weight**2) - scale.measured(packed.values[seen, i])
+            out[seen, i] = weight * off
+    return out
 
 
 def residual_slopes(problem: Problem, predicted: Array) -> Array:

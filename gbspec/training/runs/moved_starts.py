@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import LEAST_PREDICTED, Channel, Model, on_fitted_scale
+from gbspec.ir import LEAST_PREDICTED, Channel, ErrorScale, Model
 from gbspec.training.problem import Integers, Problem
 from gbspec.training.recipe import CLEAN
 
@@ -76,9 +76,10 @@ def _starts(problem: Problem, initial: Array, channel: int, state: int, deviatio
     unit = np.maximum(np.abs(measured), np.finfo(np.float64).tiny) if log else np.ones(len(rows))
     own = packed.sd[rows, channel] / unit
     values = packed.values[problem.valued[:, channel], channel]
-    least = CLEAN * float(np.nanstd(on_fitted_scale(values, values, log)[0]))
+    scale = ErrorScale(log)
+    least = CLEAN * float(np.nanstd(scale.measured(values)))
     noise = np.maximum(np.where(np.isfinite(own), own, deviation / packed.weights[rows, channel]), least)
-    difference = np.subtract(*reversed(on_fitted_scale(measured, learned, log, LEAST_PREDICTED)))
+    difference = scale.predicted(learned, LEAST_PREDICTED) - scale.measured(measured)
     known = np.isfinite(difference) & (noise > 0)
     if not known.any():
         return None

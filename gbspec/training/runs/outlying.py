@@ -20,7 +20,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.data import Trajectory, evaluate
 from gbspec.ir import Channel, Model, symbol
 from gbspec.runs import EXACT, ChannelRecord, autocorrelated
-from gbspec.training.problem import Integers, Problem, in_time, residuals_of
+from gbspec.training.problem import Integers, Problem, in_time
 from gbspec.training.runs.naming import some_of
 from gbspec.training.runs.offered import rounded
 from gbspec.training.runs.verdict import not_followed
@@ -81,12 +81,12 @@ def far_from_others(residuals: Array) -> Mask:
 
 
 def outlying_rows(
-    model: Model, problem: Problem, mean: Array, items: Sequence[Trajectory], own_starts: bool
+    model: Model, problem: Problem, residuals: Array, items: Sequence[Trajectory], own_starts: bool
 ) -> dict[str, Outlying]:
-    """The residuals, by channel, that are far from all others at the predictions `mean` [R, C]; `items` are the
+    """Those `residuals` [R, C] (of `judged_residuals`), by channel, that are far from all others; `items` are the
     trajectories of the problem, by whose labels their inputs are found, `own_starts`: whether some have starts that
     neither the model gives nor the first row."""
-    found, residuals, packed = {}, residuals_of(problem, mean), problem.packed
+    found, packed = {}, problem.packed
     for i, channel in enumerate(model.channels):
         rows = in_time(problem, i)
         own, far = residuals[rows, i], far_from_others(residuals[rows, i])

@@ -13,7 +13,7 @@ from scipy.special import fdtrc
 from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, present_values, said_of_ranges, states_beyond, variance_of
 from gbspec.files import finite
-from gbspec.ir import LEAST_PREDICTED, Model, on_fitted_scale
+from gbspec.ir import LEAST_PREDICTED, ErrorScale, Model, error_scales
 from gbspec.runs import ChannelRecord, LikelihoodRecord, ObjectiveRecord, PopulationRecord, StageRecord
 from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
@@ -21,6 +21,7 @@ from gbspec.training.problem import (
     Problem,
     autocorrelation_of,
     in_time,
+    judged_residuals,
     limited,
     mean_loss,
     measured_only,
@@ -132,13 +133,14 @@ def summarise(
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
     noise_of = _Noise.of(context, parameters, theta, freedom, [stage.name for stage in stages])
     rmse, noise = _errors(model, problem, solution.mean, noise_of)
-    known = len(model.constants)
-    values = constants.numpy()[:, known:].mean(axis=0)
-    own = constants.numpy()[:, [known + i for i in parameters.own]]
+    learned_values = constants.numpy()[:, len(model.constants) :]
+    values, own = learned_values.mean(axis=0), learned_values[:, list(parameters.own)]
     names = [k.name for k in model.learnables]
-    followed = _channels(context, parameters, theta, problem, solution.mean, fraction)
-    starts = bool(context.start_free.any())
-    outlying = outlying_rows(model, problem, solution.mean, context.trajectories.items, starts)
+    learned = dict(zip(names, map(float, values), strict=True))
+    scales = error_scales(model, learned)
+    followed = _channels(context, parameters, theta, problem, solution.mean, fraction, scales)
+    judged = judged_residuals(problem, solution.mean, scales)
+    outlying = outlying_rows(model, problem, judged, context.trajectories.items, bool(context.start_free.any()))
     tabled = _beside_tabled(noise_of, problem, model)
     channels = _beside_noise(problem, followed, noise_of, outlying)
     if noise_of.share is not None:  # the noise is that of residuals of whole solutions
@@ -151,7 +153,7 @@ def summarise(
         channels,
         rmse,
         noise,
-        dict(zip(names, map(float, values), strict=True)),
+        learned,
         {name: float("nan") for name in names},
         seconds,
         list(stages),
@@ -263,21 +265,28 @@ def only_at_its_step(
 
 
 def _channels(
-    context: Context, parameters: Parameters, theta: Array, problem: Problem, mean: Array, fraction: float
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    problem: Problem,
+    mean: Array,
+    fraction: float,
+    judged: Sequence[ErrorScale],
 ) -> dict[str, ChannelRecord]:
-    """How whole solutions follow each channel's data, and those of held-out trajectories."""
-    naive = naive_predictors(context.model, present_values(context.model, context.trajectories, context.absent))
+    """How whole solutions follow each channel's data, and those of held-out trajectories, on the scales of errors."""
+    present = present_values(context.model, context.trajectories, context.absent)
+    naive = naive_predictors(context.model, present, judged)
     held = held_out_solutions(context, parameters, theta, fraction)
     estimated, scales = context.estimated, context.scaled(context.estimated)
-    residuals = residuals_of(problem, mean)
+    residuals = judged_residuals(problem, mean, judged)
     out = {}
     for i, channel in enumerate(context.model.channels):
         rows, known = in_time(problem, i), naive.get(channel.name)
         out[channel.name] = ChannelRecord(
-            _r2(problem, mean, i),
+            _r2(problem, mean, i, judged[i]),
             finite(known.r2) if known is not None else None,
             known.predictor if known is not None else "",
-            _r2(*held, i) if held is not None else None,
+            _r2(*held, i, judged[i]) if held is not None else None,
             int(problem.seen[:, i].sum()),
             finite(float(scales.value_weights[i])),
             None if estimated is None else finite(float(estimated.noise[i])),
@@ -299,13 +308,11 @@ def averages_of(problem: Problem, channel: int) -> int | None:
     return int((problem.valued & (problem.packed.weights > 1.0))[:, channel].sum()) or None
 
 
-def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
-    """1 minus the mean squared error of a channel's predictions over the variance of its data (or of logarithms)."""
-    seen = problem.valued[:, channel]
-    log = bool(problem.scaling.log[channel])
-    values, predictions = on_fitted_scale(
-        problem.packed.values[seen, channel], mean[seen, channel], log, LEAST_PREDICTED
-    )
+def _r2(problem: Problem, mean: Array, channel: int, scale: ErrorScale) -> float | None:
+    """1 minus the mean squared error of a channel's predictions over the variance of its data, on its scale."""
+    seen, packed = problem.valued[:, channel], problem.packed
+    values = scale.measured(packed.values[seen, channel])
+    predictions = scale.predicted(mean[seen, channel], LEAST_PREDICTED, packed.weights[seen, channel] ** 2)
     variance = variance_of([values])
     if not variance > 0:
         return None
