@@ -149,8 +149,7 @@ def _of_sizes(model: Model) -> str:
         return ""
     return (
         f"sizes of disturbances ({', '.join(names)}) are fitted by the restricted likelihood, in which the other "
-        "parameters are estimated too: the slopes of this one are not zero in them, nor in constants that change "
-        "variances"
+        "parameters are estimated too: the slopes of this one are not zero in them"
     )
 
 

@@ -137,7 +137,8 @@ observe x = m + c*cos(2*pi*t/12) + e*sin(2*pi*t/12) + d noise normal(0.01)
 """
 
 
-def test_a_rate_that_changes_variances_is_that_of_a_dense_restricted_likelihood(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mean", ["m", "m + q", "m + q*(1 + 1e-7*t)"])
+def test_a_rate_that_changes_variances_is_that_of_a_dense_restricted_likelihood(tmp_path: Path, mean: str) -> None:
     # Left out of the restricted likelihood it followed the size of the disturbance to its bound.
     t = np.arange(60.0)
     columns = np.stack([np.ones(60), np.cos(2 * np.pi * t / 12), np.sin(2 * np.pi * t / 12)], axis=1)
@@ -149,7 +150,8 @@ def test_a_rate_that_changes_variances_is_that_of_a_dense_restricted_likelihood(
 
     factor = np.linalg.cholesky(covariance(1.2, 2.8))
     x = columns @ np.array([15.0, 5.0, 2.0]) + factor @ np.random.default_rng(3).standard_normal(60)
-    run, _ = fitted(SEASON, x, np.zeros(60), tmp_path)
+    text = SEASON.replace("= m +", f"= {mean} +").replace("learn c", "learn q = 1 in [0, 20]\nlearn c")
+    run, _ = fitted(text if "q" in mean else SEASON, x, np.zeros(60), tmp_path)
 
     def restricted(logs: Array) -> float:
         whole = covariance(*np.exp(logs))

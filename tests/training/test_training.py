@@ -54,7 +54,7 @@ def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     expected = ["gbspec", "model", "data", "options", "versions", "constants", "noise", "members", "warnings"]
     assert list(fit) == [*expected, "correlations", "solver", "step_checks", "interface", "scales", "finished", "files"]
     place = ["path", "sha256", "trajectories", "rows", "values", "absolute", "relative"]
-    assert list(fit["data"]) == [*place, "conditions"]
+    assert list(fit["data"]) == [*place, "conditions", "content"]
     assert list(fit["constants"]["B"]) == ["value", "sd", "interval", "start", "per_member"]
     assert list(fit["members"][0]) == [
         *["seed", "loss", "rmse", "seconds", "stages", "member", "files", "interval_loss", "channels", "freedom"]

@@ -14,7 +14,6 @@ from .filter import GONE as GONE
 from .filter import Filtered as Filtered
 from .filter import FilterEngine as FilterEngine
 from .filter import Guess as Guess
-from .filter import Information as Information
 from .filter import Whiteness as Whiteness
 from .filter import whiteness as whiteness
 from .linearised import Linearised as Linearised

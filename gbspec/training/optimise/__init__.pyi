@@ -42,6 +42,7 @@ from .priors import prior_sd as prior_sd
 from .priors import root_mean_square as root_mean_square
 from .priors import standardised as standardised
 from .priors import widest as widest
+from .restricted import shifts as shifts
 from .restricted import sizes as sizes
 from .stage import Outcome as Outcome
 from .stage import Stage as Stage

@@ -16,7 +16,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.training.engines import FilterEngine
-from gbspec.training.optimise.maximum import likeliest
+from gbspec.training.optimise.maximum import information_with_priors, likeliest
 from gbspec.training.optimise.near_none import higher, undisturbed
 from gbspec.training.optimise.restricted import LEAST, inverse, sizes
 from gbspec.training.problem import Bijection, Bijections, Integers
@@ -59,7 +59,7 @@ def _stuck(engine: FilterEngine, vector: Array) -> Integers:
         return np.zeros(0, dtype=np.int64)
     places = np.setdiff1d(np.arange(parameters.n_shared), sizes(engine))
     places = places[engine.layout.free[places] > 0]
-    matrix = engine.information(vector).matrix
+    matrix = information_with_priors(engine, vector)
     with np.errstate(divide="ignore"):  # the inverse is zero where there is no information at all
         each, together = 1 / np.diag(matrix), np.diag(inverse(matrix, engine.layout.free, LEAST))
     deviations = np.sqrt(np.maximum(each, together))[places]

@@ -18,7 +18,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.data import Estimated
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Filtered, FilterEngine, Guess, Information
+from gbspec.training.engines import Filtered, FilterEngine, Guess
 from gbspec.training.optimise.certainty import Certainty
 from gbspec.training.optimise.expected import ROUNDING, certainty_of
 from gbspec.training.optimise.inner import inner
@@ -70,7 +70,7 @@ class _System:
     the matrix without priors."""
 
     found: Filtered
-    information: Information
+    information: Array
     value: float
     gradient: Array
     matrix: Array
@@ -292,7 +292,7 @@ class InnovationsFit:
         system = self._system(vector, scalar(state, "ridge"), _moments(state))
         if not system.found.finite:
             return float("inf")
-        effective = float(np.sum(inverse(system.matrix, self.engine.layout.free, ROUNDING) * system.information.matrix))
+        effective = float(np.sum(inverse(system.matrix, self.engine.layout.free, ROUNDING) * system.information))
         left = int(self.engine.problem.seen.sum()) - effective - 1
         return 2 * (system.found.value + effective * (1 + (effective + 1) / left)) if left > 0 else float("inf")
 
@@ -404,7 +404,7 @@ class InnovationsFit:
             slopes = np.zeros((len(priors), len(vector)))
             slopes[np.arange(len(priors)), priors.column] = priors.slopes(theta)
             matrix += slopes.T @ slopes
-        return _System(found, information, self._value(vector, ridge, found), gradient, matrix)
+        return _System(found, information.matrix, self._value(vector, ridge, found), gradient, matrix)
 
     def _evidence(self, system: _System, vector: Array, ridge: float) -> float:
         """The precision of the weights' prior by the evidence, averaged with the present one (in logarithms)."""

@@ -85,6 +85,12 @@ def restricted_value(engine: FilterEngine, point: Likeliest, others: Integers) -
     return point.value + 0.5 * float(logarithm) if sign > 0 or not len(others) else float("inf")
 
 
+def information_with_priors(engine: FilterEngine, vector: Array) -> Array:
+    """The expected information [size, size] at a vector, with that of the priors of constants."""
+    found = engine.filtered(vector)
+    return _with_priors(engine, _priors(engine), Likeliest(vector, found, found.value))[1]
+
+
 def _priors(engine: FilterEngine) -> Priors:
     return Priors.of_likelihood(engine.problem, engine.parameters)
 
@@ -137,4 +143,4 @@ def _grows(engine: FilterEngine, near: Likeliest, place: int) -> bool:
     return point.value <= near.value + ENOUGH and bool(_by_noise(engine, point)[place] > GROWS)
 
 
-__all__ = ["Likeliest", "Maximum", "at_maximum", "likeliest", "restricted_value"]
+__all__ = ["Likeliest", "Maximum", "at_maximum", "information_with_priors", "likeliest", "restricted_value"]

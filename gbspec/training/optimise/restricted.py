@@ -6,9 +6,11 @@ by n where n - p is right. The restricted likelihood (Patterson and Thompson 197
 not linear: Harville 1977) has the other entries integrated out. In Laplace's approximation this adds log det H_dd / 2
 to the negative log likelihood, H_dd being their information.
 
-A constant of the balances may change variances as sizes do (a rate k of a disturbance that decays has the variance
-s^2/(2k)). As one of the other entries it would follow a size to wherever their ratio stays; so it has a gradient of its
-own, of log det H_ll / 2 with the entries l that shift means alone, as the variances of a linear mixed model have.
+A constant may change variances as sizes do: a disturbance that decays at a rate k has the variance s^2/(2k). As one of
+the other entries it would follow a size to wherever their ratio stays. So where constants l shift readings by known
+amounts (`observe y = m + x`), others have a gradient of their own, of log det H_ll / 2, as parameters of the variances
+of a linear mixed model have. Elsewhere (m of x' = k (m - x)) H_ll would also change with what l does to the means, and
+the more slowly that is the less would it be: a flat prior of l is none there.
 """
 
 from __future__ import annotations
@@ -16,9 +18,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import sympy
 
-from gbspec.arrays import Array, Mask
-from gbspec.training.engines import Filtered, FilterEngine, Information
+from gbspec.arrays import Array
+from gbspec.training.engines import Filtered, FilterEngine
 from gbspec.training.problem import Integers
 
 FLAT = 1e-8
@@ -28,8 +31,6 @@ LEAST = 1e-7
 MOVED = 0.01
 """The term is computed again where the logarithm of a size has changed by this, or that of the weights' precision by
 twice as much."""
-RIGID = 1e-10
-"""An entry shifts means alone if variances give no larger part of its information."""
 STEP = 1e-3
 """Step of the differences, on the scale of training."""
 OLD = 10
@@ -53,8 +54,8 @@ def sizes(engine: FilterEngine) -> Integers:
 
 @dataclass(frozen=True)
 class Restricted:
-    """The gradient [size] of log det H_dd / 2 by the sizes, of log det H_ll / 2 by constants that change variances as
-    well, zero elsewhere, with where and how long ago it was found.
+    """The gradient [size] of log det H_dd / 2 by the sizes, of log det H_ll / 2 by constants beside those that
+    shift readings, zero elsewhere, with where and how long ago it was found.
 
     An iteration maximises the likelihood with this gradient held; where it rests, the restricted likelihood does.
     """
@@ -68,18 +69,35 @@ class Restricted:
         """No term: the likelihood itself."""
         return cls(np.zeros(size), np.zeros(0), 0)
 
-    @property
-    def known(self) -> bool:
-        """Whether the term has been computed."""
-        return bool(len(self.at))
-
     def fits(self, at: Array) -> bool:
         """Whether the term is still that of the entries `at`, the last of which is the logarithm of a precision."""
-        if not self.known or self.age >= OLD:
+        if self.age >= OLD or len(at) != len(self.at):
             return False
         moved = np.abs(at - self.at)
         moved[-1] *= 0.5
         return bool((moved <= MOVED).all())
+
+
+def shifts(engine: FilterEngine) -> Integers:
+    """The entries of constants, shared by all trajectories, that occur in channels alone, with normal noise, and shift
+    their readings by amounts that depend on no state and no other constant."""
+    model, parameters = engine.problem.model, engine.parameters
+    if model.events or model.doses or model.algebraics or model.constraints:
+        return np.zeros(0, dtype=np.int64)
+    diffusions, starts = (one.value for one in model.diffusions), (state.initial.value for state in model.states)
+    noises = [one.noise.value for one in model.channels if one.noise is not None]
+    elsewhere = [*model.balances, *diffusions, *(one for one in (*starts, *noises) if one is not None)]
+    inside = set[sympy.Basic]().union(*(value.free_symbols for value in model.inlined(elsewhere)))
+    values = model.inlined([one.value for one in model.channels])
+    moving = {one.symbol for one in (*model.learnables, *model.states)}
+    found = []
+    for place, index in enumerate(parameters.shared):
+        symbol = model.learnables[index].symbol
+        of = [(one, value) for one, value in zip(model.channels, values, strict=True) if symbol in value.free_symbols]
+        normal = all(one.noise is None or one.noise.kind == "normal" for one, _ in of)
+        if symbol not in inside and normal and not any(value.diff(symbol).free_symbols & moving for _, value in of):
+            found.append(parameters.places.start + place)
+    return np.array(found, dtype=np.int64)
 
 
 def place_of(engine: FilterEngine, entries: Integers, vector: Array, ridge: float) -> Array:
@@ -91,10 +109,10 @@ def place_of(engine: FilterEngine, entries: Integers, vector: Array, ridge: floa
 
 
 def slope(
-    engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, information: Information, matrix: Array
+    engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, information: Array, matrix: Array
 ) -> Array:
     """The gradient [size] of log det H_dd / 2 by the `entries`, H_dd being the block of other free entries, and that
-    of constants that change variances.
+    of constants beside those that shift readings.
 
     `matrix` is the `information` at `vector` with priors, and `found` the filter there. The gradient is that of the
     linear model that the filter has found: half the trace of H_dd^-1 and the change of the information of means. That
@@ -108,36 +126,30 @@ def slope(
         values, axes = np.linalg.eigh(inverse(matrix, others, LEAST))
         factor = axes[:, values > 0] * np.sqrt(values[values > 0])
         out[entries] = 0.5 * engine.information_change(vector, found, factor, entries)
-        out += _of_constants(engine, entries, vector, found, information, matrix - information.matrix)
-    return out
+    return out + _of_constants(engine, entries, vector, found, matrix, matrix - information)
 
 
 def _of_constants(
-    engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, known: Information, priors: Array
+    engine: FilterEngine, entries: Integers, vector: Array, found: Filtered, matrix: Array, priors: Array
 ) -> Array:
-    """The gradient [size] of log det H_ll / 2 by shared constants that change variances, l being the entries that shift
-    means alone, by differences; zero for the `entries`, which are sizes, and in models with networks."""
+    """The gradient [size] of log det H_ll / 2 by the other shared constants, l being those of `shifts`, by differences;
+    zero for the `entries`, which are sizes, and in models with networks."""
     out, parameters = np.zeros(len(vector)), engine.parameters
-    rigid = (np.diag(known.matrix) > 0) & (known.of_variances <= RIGID * np.diag(known.matrix))
-    rigid[entries] = False
-    shared = np.arange(parameters.places.start, parameters.places.stop)
-    moving = [i for i in shared if engine.layout.free[i] and i not in entries and not rigid[i]]
-    if parameters.n_weights or not rigid.any():
+    shifting = np.zeros(len(vector))
+    shifting[shifts(engine)] = 1.0
+    shifting *= engine.layout.free
+    if parameters.n_weights or not shifting.any():
         return out
-    here = _log_determinant(known.matrix + priors, rigid)
-    for entry in moving:
+    covariance, shared = inverse(matrix, shifting, LEAST), np.arange(parameters.places.start, parameters.places.stop)
+    for entry in shared[(engine.layout.free[shared] > 0) & (shifting[shared] == 0)]:
+        if entry in entries:
+            continue
         there = vector.copy()
         there[entry] += STEP
         information = engine.information(there, engine.filtered(there, guess=found.guess))
-        change = _log_determinant(information.matrix + priors, rigid) - here
-        out[entry] = 0.5 * change / STEP if np.isfinite(change) else 0.0
+        change = float(np.sum(covariance * (information.matrix + priors - matrix))) / STEP
+        out[entry] = 0.5 * change if np.isfinite(information.value) else 0.0
     return out
-
-
-def _log_determinant(matrix: Array, rigid: Mask) -> float:
-    """The logarithm of the determinant of a block, NaN where it is not positive."""
-    sign, logarithm = np.linalg.slogdet(matrix[np.ix_(rigid, rigid)])
-    return float(logarithm) if sign > 0 else float("nan")
 
 
 def inverse(matrix: Array, free: Array, least: float) -> Array:
@@ -151,4 +163,4 @@ def inverse(matrix: Array, free: Array, least: float) -> Array:
     return out
 
 
-__all__ = ["FLAT", "Restricted", "inverse", "place_of", "sizes", "slope"]
+__all__ = ["FLAT", "Restricted", "inverse", "place_of", "shifts", "sizes", "slope"]

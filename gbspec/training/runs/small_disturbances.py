@@ -18,7 +18,7 @@ from gbspec.arrays import Array
 from gbspec.ir import Learnable, Model
 from gbspec.runs import NORMAL_90
 from gbspec.training.engines import FilterEngine
-from gbspec.training.optimise import likeliest, restricted_value, sizes
+from gbspec.training.optimise import likeliest, restricted_value, shifts, sizes
 from gbspec.training.problem import Bijection, Integers, Parameters
 from gbspec.training.recipe import Context, filter_of, whole_vector
 from gbspec.training.runs.summary import MemberResult
@@ -30,9 +30,11 @@ DOUBTFUL = 1 / 3.5
 TOLD = NORMAL_90**2
 """A disturbance is told apart from none where -2 log likelihood (restricted) is higher by more without it: the 95 %
 point, as a size cannot be negative (Self and Liang 1987). At the upper end of its interval it is higher by that."""
-WIDER, STEEPER, GROWTHS, STEPS = 2.0, 5, 10, 4
-"""The factor by which larger sizes are tried, its third power after so many (a size may have ended at next to none),
-how many there are, and how often the upper end is then interpolated."""
+WIDER, POWERS, STEEPER, STEPS = 2.0, (1, 3, 6), 5, 4
+"""The factor by which larger sizes are tried, its powers, each for so many of them (a size may have ended at next to
+none), and how often the upper end is then interpolated."""
+GROWTHS = STEEPER * len(POWERS)
+"""How many larger sizes there are."""
 
 
 @dataclass
@@ -56,18 +58,18 @@ class _Sizes:
         self.least = min(self.least, found)
         return found, point.vector
 
-    def upper(self, value: float, near: Array, bound: float) -> float:
-        """The size above a value at which -2 log likelihood is higher by `TOLD` than at its minimum; the upper bound if
-        there is none."""
-        before: tuple[float, float] | None = None
+    def upper(self, none: tuple[float, float], value: float, near: Array, bound: float) -> float:
+        """The size at which -2 log likelihood is higher by `TOLD` than at its minimum, searched from a value upwards;
+        the upper bound if there is none. `none` is what stands for no disturbance, with its -2 log likelihood."""
+        before = none
         for tried in range(GROWTHS):
             found, after = self.at(value, near)
             if found - self.least > TOLD:
-                return value if before is None else self._between(before, (value, found), near)
+                return self._between(before, (value, found), near)
             if value >= bound:
                 break
             before, near = (value, found), after
-            value = min((WIDER if tried < STEEPER else WIDER**3) * value, bound)
+            value = min(WIDER ** POWERS[tried // STEEPER] * value, bound)
         return bound
 
     def _between(self, inner: tuple[float, float], outer: tuple[float, float], near: Array) -> float:
@@ -101,7 +103,9 @@ def without_disturbances(
     entries = sizes(engine)
     moving = engine.layout.free > 0
     moving[: parameters.n_weights] = moving[entries] = False
-    others = np.flatnonzero(moving & ~engine.ended(vector, np.zeros(len(vector))))
+    moving &= ~engine.ended(vector, np.zeros(len(vector)))
+    shifting = np.isin(np.arange(len(vector)), shifts(engine))  # where some are, others are parameters of variances
+    others = np.flatnonzero(moving & shifting if (moving & shifting).any() else moving)
     for place in entries[entries < parameters.size]:
         learnable = model.learnables[parameters.shared[place - parameters.n_weights]]
         name, low = learnable.name, max(learnable.range.low, 0.0)
@@ -115,9 +119,10 @@ def without_disturbances(
             continue
         held = _Sizes(engine, int(place), others)
         here, near = held.at(value, vector)
-        rise = held.at(none, near)[0] - here
+        without = held.at(none, near)[0]
+        rise = without - here
         if rise < TOLD and math.isfinite(here):
-            interval = low, held.upper(value, near, learnable.range.high)
+            interval = low, held.upper((none, without), value, near, learnable.range.high)
             result.intervals[name] = interval
             out.append(_sentence(model, learnable, (value, none), max(rise, 0.0), interval))
     return out

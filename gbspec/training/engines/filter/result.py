@@ -95,19 +95,16 @@ class Filtered:
 @dataclass(frozen=True)
 class Information:
     """The negative log likelihood, its gradient [size] and its expected information [size, size]: the covariance of the
-    gradient over data of the model (Fisher), from first derivatives. `of_variances` [size] is the part of its diagonal
-    that variances of values give: none for what shifts means alone."""
+    gradient over data of the model (Fisher), from first derivatives."""
 
     value: float
     gradient: Array
     matrix: Array
-    of_variances: Array
 
     @classmethod
     def none(cls, layout: Layout) -> Information:
         """That of a solution that is not finite."""
-        nothing = np.zeros(layout.size)
-        return cls(float("inf"), nothing, np.zeros((layout.size, layout.size)), nothing)
+        return cls(float("inf"), np.zeros(layout.size), np.zeros((layout.size, layout.size)))
 
 
 @dataclass
@@ -120,13 +117,11 @@ class Sums:
 
     layout: Layout
     _gradient: Array = field(init=False)
-    _of_variances: Array = field(init=False)
     _rows: list[Array] = field(default_factory=list, init=False)
     _owner: list[Integers] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
         self._gradient = np.zeros((self.layout.parameters.trajectories, self.layout.width))
-        self._of_variances = np.zeros_like(self._gradient)
 
     def add(self, who: Integers, innovations: Innovations, seen: Mask) -> None:
         """Adds the values `seen` [b, C] of rows of the trajectories `who` [b]."""
@@ -136,7 +131,6 @@ class Sums:
         e, v = innovations.error[row, channel][:, None], innovations.variance[row, channel][:, None]
         de, dv = innovations.d_error[row, channel], innovations.d_variance[row, channel]
         np.add.at(self._gradient, who[row], e * de / v + 0.5 * (1 - e**2 / v) * dv / v)
-        np.add.at(self._of_variances, who[row], 0.5 * (dv / v) ** 2)
         self._rows += [de / np.sqrt(v), dv / (v * np.sqrt(2.0))]
         self._owner += [who[row], who[row]]
 
@@ -145,13 +139,12 @@ class Sums:
         layout, width = self.layout, self.layout.width
         rows = np.concatenate([np.zeros((0, width)), *self._rows])
         owner = np.concatenate([np.zeros(0, dtype=np.int64), *self._owner])
-        gradient, matrix, of_variances = np.zeros(layout.size), np.zeros((layout.size,) * 2), np.zeros(layout.size)
+        gradient, matrix = np.zeros(layout.size), np.zeros((layout.size, layout.size))
         shared = layout.places[0, : layout.shared] if len(layout.places) else np.zeros(0, dtype=np.int64)
         common = rows[:, : layout.shared]
         matrix[np.ix_(shared, shared)] = common.T @ common
         for trajectory, places in enumerate(layout.places):
             np.add.at(gradient, places, self._gradient[trajectory])
-            np.add.at(of_variances, places, self._of_variances[trajectory])
             own = places[layout.shared :]
             if len(own):
                 mine = rows[owner == trajectory]
@@ -161,5 +154,4 @@ class Sums:
                 matrix[np.ix_(shared, own)] = cross
                 matrix[np.ix_(own, shared)] = cross.T
         free = layout.free > 0
-        matrix = np.where(free[:, None] & free, matrix, 0.0)
-        return Information(value, np.where(free, gradient, 0.0), matrix, np.where(free, of_variances, 0.0))
+        return Information(value, np.where(free, gradient, 0.0), np.where(free[:, None] & free, matrix, 0.0))
