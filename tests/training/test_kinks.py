@@ -72,6 +72,20 @@ def test_the_rest_of_a_fit_is_finished_where_a_time_rests_at_a_row(tmp_path: Pat
         assert squares(table, end) - squares(table, 10.0) == pytest.approx(scale, rel=0.1)
 
 
+def test_times_of_single_trajectories_rest_at_rows_too(tmp_path: Path, table: Array) -> None:
+    (tmp_path / "break.gb").write_text(
+        MODEL.replace("learn tb in [4, 16] = 7", "learn tb in [4, 16] = 7 per trajectory")
+    )
+    rows = [(label, t, y) for label in "ab" for t, y in zip(T.tolist(), table.tolist(), strict=True)]
+    (tmp_path / "break.csv").write_text("trajectory,t,x\n" + "".join(f"{a},{t},{y!r}\n" for a, t, y in rows))
+    run = gbspec.train(tmp_path / "break.gb", tmp_path / "break.csv", tmp_path / "run", effort="low")
+    constants = run.constants
+    assert np.sum((solution(**constants) - table) ** 2) == pytest.approx(squares(table, 10.0), rel=1e-6)
+    said = " ".join(run.notes())
+    for label in "ab":
+        assert f"`tb` ended at 10 in trajectory `{label}`, the row t = 10, where the sum of squares has a kink" in said
+
+
 def test_a_kink_is_told_from_a_smooth_minimum_and_from_a_jump() -> None:
     """Beside the kink, which is a little off, the objective also falls along another entry."""
 

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 
 from gbspec.arrays import Array
-from gbspec.ir import Learnable
+from gbspec.ir import Learnable, Model
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import Passing, at_kinks
 from gbspec.training.problem import Parameters, mean_loss
@@ -34,7 +35,7 @@ _OF_SWITCHES = (
 _OF_KINKS = (
     "where the sum of squares has a kink, as where the time of an event or a dose passes a row, another event or a "
     "change of an input: it rises to both sides, with different slopes. Standard deviations and intervals have the "
-    "slope of one side alone. `gbspec profile` gives intervals that have both"
+    "slope of one side alone"
 )
 
 
@@ -63,21 +64,33 @@ def said_of_kinks(
     """A sentence for each constant that has come to rest at a kink of the sum of squares. `stages` are those that led
     to `theta`."""
     model, entries = context.model, Passing.of(context.model, parameters).entries
-    shared = [entry for entry in entries if parameters.n_weights <= entry < parameters.n_shared]
-    if not shared or parameters.n_weights or model.diffusions or model.marginal or not result.loss > EXACT:
+    if not entries or parameters.n_weights or model.diffusions or model.marginal or not result.loss > EXACT:
         return []
     blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
     engine = context.engine(parameters, blend, step_fraction(stages))
-    found = at_kinks(lambda at: mean_loss(residual_vector(engine, at)), theta, shared)
-    each = [model.learnables[parameters.shared[entry - parameters.n_weights]] for entry in found]
-    named = [(k.name, result.constants[k.name], _row(context, k, result.constants[k.name])) for k in each]
-    return [f"`{name}` ended at {value:.6g}{row}, {_OF_KINKS}" for name, value, row in named]
+    found = at_kinks(lambda at: mean_loss(residual_vector(engine, at)), theta, entries)
+    return [_said_of_kink(context, parameters, theta, entry) for entry in found]
 
 
-def _row(context: Context, learnable: Learnable, value: float) -> str:
-    """Which row that is, if an event happens at the constant itself and a row is there."""
-    timed = any(event.timing is not None and event.timing.at == learnable.symbol for event in context.model.events)
-    times = np.concatenate([item.times for item in context.trajectories.items])
+def _said_of_kink(context: Context, parameters: Parameters, theta: Array, entry: int) -> str:
+    """The sentence for the constant of an entry, which may be that of one trajectory."""
+    own, trajectory = entry >= parameters.n_shared, 0
+    if own:
+        trajectory, place = divmod(entry - parameters.n_shared, parameters.n_local)
+    i = parameters.own[place] if own else parameters.shared[entry - parameters.n_weights]
+    values = parameters.constants(torch.from_numpy(theta)).numpy()[trajectory]
+    learnable, value = context.model.learnables[i], float(values[len(context.model.constants) + i])
+    items = context.trajectories.items
+    times = items[trajectory].times if own else np.concatenate([item.times for item in items])
+    where = f" in trajectory `{context.packed().labels[trajectory]}`" if own else ""
+    more = "" if own else ". `gbspec profile` gives intervals that have both"
+    row = _row(context.model, learnable, value, times)
+    return f"`{learnable.name}` ended at {value:.6g}{where}{row}, {_OF_KINKS}{more}"
+
+
+def _row(model: Model, learnable: Learnable, value: float, times: Array) -> str:
+    """Which of the rows at `times` that is, if an event happens at the constant itself and a row is there."""
+    timed = any(event.timing is not None and event.timing.at == learnable.symbol for event in model.events)
     place = int(np.argmin(np.abs(times - value)))
     beside = timed and abs(times[place] - value) <= ROW * max(abs(value), float(np.ptp(times)))
-    return f", the row {context.model.time.name} = {times[place]:.6g}" if beside else ""
+    return f", the row {model.time.name} = {times[place]:.6g}" if beside else ""
