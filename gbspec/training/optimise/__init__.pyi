@@ -10,6 +10,7 @@ from .curvature import loosened as loosened
 from .exchanges import exchanged as exchanged
 from .held import tied_at_bounds as tied_at_bounds
 from .innovations import InnovationsFit as InnovationsFit
+from .kinks import at_kinks as at_kinks
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import ON_THE_WAY as ON_THE_WAY
 from .levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt

@@ -10,6 +10,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, Linearised, linearise, residual_vector
 from gbspec.training.optimise.certainty import Certainty
+from gbspec.training.optimise.kinks import held_at_kinks, without_held
 from gbspec.training.optimise.normal_equations import (
     NormalEquations,
     huber,
@@ -56,7 +57,8 @@ class LevenbergOptions:
     at once, or a function of a vector and its residuals that returns this loss; `damping`: the initial one; `ridge`:
     precision of the weights' prior in units of squared residuals; `evidence`: re-estimate the ridge from the data after
     each iteration; `spread`: with `evidence`, also a move of the predictions below this many of their standard
-    deviations (root mean square, twice in a row) ends it.
+    deviations (root mean square, twice in a row) ends it; `kinks`: where times of events rest at kinks, the rest is
+    fitted with these held.
     """
 
     robust: bool = True
@@ -67,6 +69,7 @@ class LevenbergOptions:
     ridge: float = 0.0
     evidence: bool = False
     spread: float = 0.0
+    kinks: bool = False
 
 
 class LevenbergMarquardt:
@@ -102,7 +105,8 @@ class LevenbergMarquardt:
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
         system = linearise(engine, theta)
         require_finite(engine, theta, system.residuals.numpy(), self.name)
-        fit = _Fit(engine, system, theta, self.threshold(engine.problem.of_noise(system.residuals.numpy())), ridge)
+        delta = self.threshold(engine.problem.of_noise(system.residuals.numpy()))
+        fit = _Fit(engine, system, theta, delta, ridge, state.get("held"))
         found = _searched(fit, damping)
         if not found.after.value < fit.start.value:
             kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
@@ -118,7 +122,7 @@ class LevenbergMarquardt:
         # The better the linear model predicted the decrease, the less damping is needed (Nielsen 1999).
         damping = found.damping * float(np.clip(1 - (2 * found.gain - 1) ** 3, 0.2, 2.0))
         small = small + 1 if rests else 0.0
-        new: State = {
+        new: State = state | {
             "theta": trial,
             "damping": np.array(max(damping, LEAST)),
             "ridge": np.array(ridge),
@@ -131,7 +135,7 @@ class LevenbergMarquardt:
         return self._ended(reached, fit) if reached.done else reached
 
     def _ended(self, outcome: Outcome, fit: _Fit) -> Outcome:
-        """The last iteration, or one after which constants are inside of bounds at which they were stuck."""
+        """The last iteration, or one after which constants are off bounds where they were stuck, or held at kinks."""
         theta, parameters = outcome.state["theta"], fit.parameters
 
         def at(u: Array) -> Array:
@@ -144,10 +148,11 @@ class LevenbergMarquardt:
 
         least = LOWER * outcome.loss
         u = released(parameters.bijections(parameters.shared), theta[parameters.places], value, least)
-        if u is None:
-            return outcome
-        begun = {"theta": at(u), "damping": np.array(self.options.damping), "small": np.array(0.0)}
-        return Outcome(outcome.state | begun, outcome.loss, False)
+        changed: State = {"theta": at(u)} if u is not None else {}
+        if not changed and self.options.kinks:
+            changed = held_at_kinks(outcome.state, parameters, lambda there: fit.solved(there - fit.theta).value)
+        begun: State = {"damping": np.array(self.options.damping), "small": np.array(0.0)}
+        return Outcome(outcome.state | changed | begun, outcome.loss, False) if changed else outcome
 
     def close(self, theta: Array, residuals: Array) -> bool:
         """Whether the mean loss of these residuals of a vector is so small that the stage ends."""
@@ -179,6 +184,8 @@ class LevenbergMarquardt:
         equations = fit.equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         ahead, count = fit.step(weak), len(parameters.shared)
+        if "held" in state:
+            ahead = _Fit(engine, linearise(engine, theta), theta, delta, ridge, state["held"]).step(weak)
         out, inverse = np.zeros(count), np.zeros((count, count))
         for i in range(count):
             unit = np.zeros(parameters.size)
@@ -236,7 +243,9 @@ class _Fit:
     Where Huber's function reduces the weights of measurements, priors are reduced by the average of these weights.
     """
 
-    def __init__(self, engine: Engine, system: Linearised, theta: Array, delta: float, ridge: float) -> None:
+    def __init__(
+        self, engine: Engine, system: Linearised, theta: Array, delta: float, ridge: float, held: Array | None = None
+    ) -> None:
         measured = system.residuals.numpy()
         self.limit = engine.problem.limit(delta)
         weights = huber_weights(measured, self.limit)
@@ -244,7 +253,7 @@ class _Fit:
         self.theta, self.delta, self.ridge = theta, delta, ridge
         self.priors = Priors.of(engine.problem, engine.parameters, measured)
         self.balance = float(weights.mean()) if len(weights) else 1.0
-        rows = self.priors.with_rows(system, theta)
+        rows = without_held(self.priors.with_rows(system, theta), engine.parameters, held)
         residuals: Array = rows.residuals.numpy()
         weights = np.concatenate([weights, np.full(len(self.priors), self.balance)])
         self.equations = NormalEquations(rows, engine.parameters, weights, ridge, theta)

@@ -193,7 +193,7 @@ class _Profiler:
             if rest.promised <= enough:
                 self.kept.add(None, ridge, Refit(rest))
                 return rest
-        return self._follower().followed(self.target, theta, None, ())
+        return self._follower().all_free(self.target, theta)
 
     def _follower(self) -> Follower:
         return Follower(self.variance, self.iterations, bool(self.parameters.n_weights))

@@ -17,7 +17,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import residual_vector
-from gbspec.training.optimise import Anchor, Passing, Penalised, Rest, beyond_jumps, minimise
+from gbspec.training.optimise import Anchor, Passing, Penalised, Rest, at_kinks, beyond_jumps, minimise
 
 ACCURACY, KNOWN_ACCURACY = 0.01, 0.002
 """A fit has converged if its deviance is not predicted to decrease by more than this; the second one without networks,
@@ -95,6 +95,18 @@ class Follower:
                 break
             anchor, given = None, False
         return rest
+
+    def all_free(self, target: Penalised, theta: Array) -> Rest:
+        """The fit with nothing held. Where times of events rest at kinks, at which no derivative vanishes, it has
+        converged where the rest has and the objective rises to both sides of each kink."""
+        free = self.followed(target, theta, None, ())
+        entries = Passing.of(target.parameters.model, target.parameters).entries
+        held = [] if self.at_rest(free) else at_kinks(target.value, free.theta, entries)
+        if not held:
+            return free
+        rest = self.followed(target, free.theta, None, held)
+        stays = set(held) <= set(at_kinks(target.value, rest.theta, held))
+        return rest if stays and rest.objective <= free.objective else free
 
 
 class Refits:
@@ -202,7 +214,7 @@ class Refits:
         if fraction not in self._offsets:
             level, offset = self._level(fraction), 0.0
             if np.isfinite(level.base):
-                offset = self.lowest - self.follower.followed(level.target, self.found, None, ()).objective
+                offset = self.lowest - self.follower.all_free(level.target, self.found).objective
             self._offsets[fraction] = offset
         return self._offsets[fraction]
 

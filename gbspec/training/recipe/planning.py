@@ -128,7 +128,7 @@ class _Planner:
         """The stages of a model whose functions are all known: least squares of whole solutions, from several
         points."""
         blend = self.blend if self.options.forcing != "teacher" else 0.0
-        plain = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2)
+        plain = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2, kinks=True)
         context, parameters = self.context, self.parameters
 
         def believed(reached: Reached) -> bool:

@@ -10,7 +10,7 @@ from gbspec.runs import Certainties
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context
 from gbspec.training.runs.ended_own import without_own_at_bounds
-from gbspec.training.runs.jumping import without_jumping
+from gbspec.training.runs.jumping import said_of_kinks, without_jumping
 from gbspec.training.runs.misjudged import without_misjudged
 from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.summary import MemberResult
@@ -30,8 +30,8 @@ def take_uncertain(
     `known` without theirs. `stages` are those that led to the result."""
     if not context.model.marginal:
         each = without_tied, without_own_at_bounds, without_misjudged, without_disturbances, without_jumping
-        for without in each:
-            result.tied += without(result, context, parameters, theta, stages)
+        for said in (*each, said_of_kinks):
+            result.tied += said(result, context, parameters, theta, stages)
     result.tied += without_unmoved(result, context, stages)
     covariance = known.covariance
     at_most = {} if covariance is None else {k: v for k, v in result.at_most.items() if k in covariance.constants}
