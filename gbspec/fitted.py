@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias, Unpack
 
 from gbspec.data import SimulateOptions
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Diagnostic, Findings
 from gbspec.frames import Tabled, of_rows
 from gbspec.given import WRITTEN, require_path
 from gbspec.ir import Model
@@ -81,7 +81,9 @@ class FittedRun(Tabled):
 
     def validate(self, data: Data | None = None, *, member: int | Literal["mean"] = "mean") -> Validation:
         """Errors on data (default: the training data), at half the step, and against the truth."""
-        return analysing.validate(self.run, self._data(data), member)
+        findings = Findings()
+        found = analysing.validate(self.run, self._data(data, findings), member)
+        return replace(found, warnings=(*_messages(findings), *found.warnings))
 
     @options_of(SimulateOptions)
     def simulate(
@@ -116,7 +118,7 @@ class FittedRun(Tabled):
         """
         require_path(path, WRITTEN)
         subject = models.learned(self.run, values, member)
-        table = None if data is None else table_of(data, self.run.model)
+        table = None if data is None else tables.read_for_subject(subject, data, Findings())
         return exporting.exported(
             subject, path, as_, str(self.run.path), verify=verify, precision=precision, part=part, data=table
         )
@@ -126,8 +128,12 @@ class FittedRun(Tabled):
     ) -> Evaluation:
         """Negative log likelihood, chi-squared, residuals and gradient (default: on the training data, of the best
         member), at what was learned, with `values` in place of some constants; see `gbspec evaluate`."""
-        table = tables.trained_on(self.run, None, Findings()) if data is None else self._given(data)
-        return evaluating.of_run(self.run, table, values, member)
+        findings = Findings()
+        table = (
+            tables.trained_on(self.run, None, findings) if data is None else tables.read_for(self.run, data, findings)
+        )
+        found = evaluating.of_run(self.run, table, values, member)
+        return replace(found, warnings=(*_undecided(findings), *found.warnings))
 
     def eigen(
         self,
@@ -139,13 +145,15 @@ class FittedRun(Tabled):
         member: int | None = None,
     ) -> Eigen:
         """Eigenvalues of the learned Jacobian, together with the truth's if there is one."""
-        data = None if along is None else table_of(along, self.run.model)
+        data = None if along is None else tables.read_for(self.run, along, Findings())
         return analysing.eigen(models.learned(self.run, values, member), at=at, along=data, steady=steady)
 
     def predict(self, data: Data, path: str | Path | None = None, *, window: int | None = None) -> Forecast:
         """Predictions for new trajectories from their first `window` measured rows (1: the first row only)."""
-        table = table_of(data, self.run.model, require_channels=False)
-        return analysing.predict(self.run, table, window=window, path=path)
+        findings = Findings()
+        table = tables.read_for(self.run, data, findings, require_channels=False)
+        found = analysing.predict(self.run, table, window=window, path=path)
+        return replace(found, warnings=(*_messages(findings), *found.warnings))
 
     def bifurcate(
         self,
@@ -200,7 +208,7 @@ class FittedRun(Tabled):
         """A figure of one of the kinds of `gbspec plot`, also written to `path` if given."""
         from gbspec.report import save
 
-        made = reporting.figure(kind, self.run, self._data(data, required=False), show)
+        made = reporting.figure(kind, self.run, self._data(data, Findings(), required=False), show)
         if path is not None:
             save(made, path)
         return made
@@ -236,17 +244,22 @@ class FittedRun(Tabled):
         if path is not None:
             require_path(path, WRITTEN)
         target = self.run.path / "report.html" if path is None else Path(path)
-        reporting.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
+        reporting.report(self.run, self._data(data, Findings()), target, diagram=diagram, cycles=cycles)
         return target
 
-    def _data(self, data: Data | None, *, required: bool = True) -> Trajectories | None:
+    def _data(self, data: Data | None, findings: Findings, *, required: bool = True) -> Trajectories | None:
         if data is not None:
-            return self._given(data)
-        return tables.training_data(self.run, Findings(), required=required)
+            return tables.read_for(self.run, data, findings)
+        return tables.training_data(self.run, findings, required=required)
 
-    def _given(self, data: Data) -> Trajectories:
-        """Data of any form: those of the training, if they are these but for how other programs read a text."""
-        return tables.recognised(self.run, table_of(data, self.run.model))
+
+def _undecided(findings: Findings) -> tuple[Diagnostic, ...]:
+    """What was found out about data that may be those of the training, whose table is gone or was changed."""
+    return tuple(one for one in findings if one.code == "GB859")
+
+
+def _messages(findings: Findings) -> tuple[str, ...]:
+    return tuple(one.message for one in _undecided(findings))
 
 
 def table_of(data: Data, model: Model, *, require_channels: bool = True) -> Trajectories:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from gbspec.arrays import Array
@@ -23,11 +25,12 @@ def same_content(one: Trajectories, other: Trajectories) -> bool:
 
 
 def _number(label: str) -> float | str:
-    """A label as a number, if it is one."""
+    """A label as a number, if it is one as tables write them: finite, and not `1_0`, which only Python reads."""
     try:
-        return float(label)
+        number = float(label)
     except ValueError:
         return label
+    return number if math.isfinite(number) and "_" not in label else label
 
 
 def _near(ours: dict[str, Array], theirs: dict[str, Array], name: str) -> bool:

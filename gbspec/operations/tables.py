@@ -150,14 +150,56 @@ def trained_on(run: Run, given: str | Path | Frame | Trajectories | None, findin
     return own
 
 
-def recognised(run: Run, data: Trajectories) -> Trajectories:
-    """The data that a run was trained on, where `data` are another reading of these (see `same_content`), of which
-    learned starts would not be found; else `data`."""
+def read_for(
+    run: Run,
+    given: str | Path | Frame | Trajectories,
+    findings: Findings,
+    *,
+    require_channels: bool = True,
+    form: str = "auto",
+) -> Trajectories:
+    """Data given for a run: a table, as `read_data` reads it, or trajectories.
+
+    Where they are another reading of the training data (see `same_content`), of which learned starts and constants of
+    trajectories would not be found, these take their place, with the labels that were given. Raises `UserError` with
+    all errors in a table.
+    """
+    from gbspec.data import Trajectories
+
+    data = (
+        given
+        if isinstance(given, Trajectories)
+        else read_data(given, run.model, findings, require_channels=require_channels, form=form)
+    )
     counts = run.fit.data.trajectories, run.fit.data.values
     if _recorded(run, data) or counts != (len(data), data.measurements):
         return data
-    own = training_data(run, Findings(), required=False)
-    return own if own is not None and _same(own, data) else data
+    missed = Findings()
+    own = training_data(run, missed, required=False)
+    if own is None:
+        for one in missed:
+            findings.add(_undecided(one))
+        return data
+    if not _same(own, data):
+        return data
+    pairs = zip(own.items, data.items, strict=True)
+    return replace(own, items=tuple(replace(ours, label=theirs.label) for ours, theirs in pairs))
+
+
+def read_for_subject(
+    subject: Subject, data: str | Path | Frame, findings: Findings, *, require_channels: bool = True, form: str = "auto"
+) -> Trajectories:
+    """A table for a run, as `read_for` reads it, or for a model. Raises `UserError` with all errors in it."""
+    if subject.run is not None:
+        return read_for(subject.run, data, findings, require_channels=require_channels, form=form)
+    return read_data(data, subject.model, findings, require_channels=require_channels, form=form)
+
+
+def _undecided(trouble: Diagnostic) -> Diagnostic:
+    """The warning that data as many as those of the training cannot be compared with these, for a `trouble`."""
+    said = "the given data, as many as these, are taken for new ones unless they agree with these bit by bit"
+    help = "restore the table, or give an unchanged copy of its file, if these are meant; new data need neither"
+    return replace(trouble, message=f"{trouble.message}; {said}", help=help)
 
 
 def _recorded(run: Run, data: Trajectories) -> bool:

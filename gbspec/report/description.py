@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias, TypeVar
 import numpy as np
 
 from gbspec.arrays import Array, Mask
+from gbspec.report.breaking import cut
 from gbspec.report.style import LEARNED, MEASURED, MUTED, TRUTH
 
 Dash: TypeAlias = Literal["solid", "dashed", "dotted"]
@@ -150,8 +151,8 @@ class Axis:
     def ticks(self, most: int) -> list[tuple[int, str]]:
         """Places and their names, at most so many, of even distance; long names are cut."""
         every = max(1, -(-len(self.names) // max(1, most)))
-        cut = (name if len(name) <= LONG else name[: LONG - 1] + "…" for name in self.names)
-        return list(enumerate(cut))[::every]
+        places = range(0, len(self.names), every)
+        return list(zip(places, cut(self.names[::every], LONG), strict=True))
 
 
 LONG = 16

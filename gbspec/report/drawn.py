@@ -20,7 +20,6 @@ from gbspec.report.description import (
     Mark,
     Panel,
     Points,
-    Row,
     Rug,
     Rule,
     Span,
@@ -91,10 +90,12 @@ def _margin(panel: Panel) -> float:
     return MARGIN if panel.y.shown and panel.y.label else PLAIN
 
 
-def _free(row: Row) -> float:
-    """The inches over the first panel of a row and those behind it up to the next one with a title."""
-    panels = list(takewhile(lambda panel: panel is None or not panel.title, row.panels))
-    return sum(panel.width for panel in panels if panel is not None)
+def _free(panels: Sequence[Panel | None]) -> float:
+    """The inches over the first of these panels, inside of its axes, and over those behind it up to the next one with
+    a title."""
+    first, *others = panels
+    behind = takewhile(lambda panel: panel is None or not panel.title.strip(), others)
+    return sum(panel.width for panel in (first, *behind) if panel is not None) - (_margin(first) if first else 0.0)
 
 
 def _block(where: Figure | SubFigure, block: Block) -> None:
@@ -103,16 +104,18 @@ def _block(where: Figure | SubFigure, block: Block) -> None:
     grid = where.subplots(len(heights), len(widths), squeeze=False, sharex=share, height_ratios=heights,
                           width_ratios=widths)  # fmt: skip
     for i, (axes, row) in enumerate(zip(grid, block.rows, strict=True)):
-        for one, panel in zip_longest(axes, row.panels):
+        for j, (one, panel) in enumerate(zip_longest(axes, row.panels)):
             if panel is None:
                 one.set_axis_off()
                 continue
             _panel(one, panel, where)
+            if panel.title:
+                one.set_title(broken(panel.title, _free(row.panels[j:]), TITLE), fontsize=8.5)
             if block.shared and i < len(heights) - 1:
                 one.set_xlabel("")
         first = row.panels[0]
         if row.heading and first is not None and not first.title:
-            axes[0].set_title(broken(row.heading, _free(row) - _margin(first), HEADING))
+            axes[0].set_title(broken(row.heading, _free(row.panels), HEADING))
     if block.legend:
         entries = dict(_entries(grid.ravel().tolist()))
         if entries:
@@ -132,7 +135,8 @@ def _panel(axes: Axes, panel: Panel, where: Figure | SubFigure) -> None:
         _draw(axes, mark, where)
     inside = panel.width - _margin(panel)
     axes.set_xlabel(broken(panel.x.title, inside, LABEL))
-    axes.set_ylabel(broken(panel.y.title, max(LOW, panel.height - BESIDE), LABEL))
+    beside = BESIDE + (_named(axes, panel.x, inside) if panel.x.names else 0.0)
+    axes.set_ylabel(broken(panel.y.title, max(LOW, panel.height - beside), LABEL))
     for axis, scale, limit, margin in (
         (panel.x, axes.set_xscale, axes.set_xlim, axes.set_xmargin),
         (panel.y, axes.set_yscale, axes.set_ylim, axes.set_ymargin),
@@ -144,10 +148,6 @@ def _panel(axes: Axes, panel: Panel, where: Figure | SubFigure) -> None:
         if axis.range is not None:
             limit(*axis.range)
     axes.autoscale_view()
-    if panel.title:
-        axes.set_title(broken(panel.title, inside, TITLE), fontsize=8.5)
-    if panel.x.names:
-        _named(axes, panel.x, inside)
     if not panel.y.shown:
         axes.set_yticks([])
         axes.spines["left"].set_visible(False)
@@ -157,11 +157,13 @@ def _panel(axes: Axes, panel: Panel, where: Figure | SubFigure) -> None:
         axes.legend(list(entries.values()), list(entries), loc="best")
 
 
-def _named(axes: Axes, axis: Axis, inches: float) -> None:
-    """Names at the places of an x axis, upright where they would overlap, and not all where even these would."""
+def _named(axes: Axes, axis: Axis, inches: float) -> float:
+    """Names at the places of an x axis, upright where they would overlap, and not all where even these would. Returns
+    the inches by which upright ones make the panel lower."""
     shown = axis.ticks(int(inches * UPRIGHT))
     upright = sum(len(name) + 2 for _, name in shown) > inches * LABEL
     axes.set_xticks([place for place, _ in shown], [name for _, name in shown], rotation=90 if upright else 0)
+    return max(len(name) for _, name in shown) / LABEL if upright else 0.0
 
 
 def _draw(axes: Axes, mark: Mark, where: Figure | SubFigure) -> None:

@@ -26,6 +26,7 @@ def learned_noises(run: Run) -> tuple[LearnedNoise, ...]:
     if not run.model.diffusions:
         return ()
     from gbspec.ir import logarithmic
+    from gbspec.report.collect import channel_unit
 
     record = run.innovations
     found, out = {} if record is None else record.noise, []
@@ -34,6 +35,6 @@ def learned_noises(run: Run) -> tuple[LearnedNoise, ...]:
         if one is not None:
             known = one.interval is not None and one.sd_of_log is not None
             sd = one.value * (one.sd_of_log or 0.0) if known else None
-            unit = "" if log else channel.unit or ""
+            unit = "" if log else channel_unit(run.model, channel)
             out.append(LearnedNoise(f"noise of {channel.name}", one.value, sd, one.interval, unit))
     return tuple(out)

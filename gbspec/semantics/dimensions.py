@@ -13,7 +13,7 @@ from gbspec.semantics.delays import is_delay
 from gbspec.semantics.expressions import chain, fold, operands, walk
 from gbspec.semantics.table import Table
 from gbspec.semantics.unification import UNKNOWN, Solution, factor_between
-from gbspec.semantics.unit_remedies import excerpt, made_pure, of_bare_number, remedy
+from gbspec.semantics.unit_remedies import excerpt, made_absolute, made_pure, of_bare_number, remedy
 from gbspec.semantics.units import ONE, Unit, read
 from gbspec.syntax import FUNCTIONS, Kind, ast
 
@@ -193,8 +193,14 @@ class Units:
                 node.span,
                 label=f"in `{self.solution.shown(unit)}`",
                 labels=self._origins(unit),
-                help=made_pure(self.solution, node, unit, not self.inside_function),
+                help=self._absolute(node, unit) or made_pure(self.solution, node, unit, not self.inside_function),
             )
+
+    def _absolute(self, node: ast.Expression, unit: Unit) -> str:
+        """The help where a temperature in a scale with a zero of its own stands in a product with absolute ones."""
+        texts = [part.text for part in walk(node) if isinstance(part, ast.Name) and part.text in self.table]
+        named = [] if self.inside_function else [(text, self.of(text)) for text in texts]
+        return made_absolute(self.solution, unit, named)
 
     # --------------------------------------------------------------------------------------------------------- calls
 

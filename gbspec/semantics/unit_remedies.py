@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from fractions import Fraction
 
 from gbspec.diagnostics import Span
@@ -11,6 +12,7 @@ from gbspec.semantics.unification import Solution, factor_between
 from gbspec.semantics.units import ONE, Unit
 from gbspec.syntax import ast, ungrouped
 
+KELVIN = Unit((("K", Fraction(1)),))
 _OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
 
 
@@ -40,6 +42,21 @@ def made_pure(solution: Solution, node: ast.Expression, unit: Unit, convertible:
     return f"divide it by a constant of the unit `{solution.shown(unit)}`"
 
 
+def made_absolute(solution: Solution, unit: Unit, named: Iterable[tuple[str, Unit]]) -> str:
+    """The help for what would be a pure number if one of the temperatures that are `named` in it, in a scale with a
+    zero of its own (`degC`), were absolute; empty where that is not so."""
+    namespace = solution.namespace
+    for name, own in named:
+        scale = solution.known(own)
+        if scale is None or not namespace.is_scale(scale.lone()):
+            continue
+        for power in (-1, 1):
+            product = unit.times(KELVIN.times(scale, Fraction(-1)), Fraction(power))
+            if solution.known(product) is not None and factor_between(solution.resolved(product), ONE, namespace):
+                return f"`{name}` is in `{scale}`, whose zero is not that of `K`: write `({name} in K)` for it"
+    return ""
+
+
 def of_bare_number(
     solution: Solution, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, added: bool
 ) -> str:
@@ -58,12 +75,17 @@ def of_bare_number(
 
 def excerpt(node: ast.Expression) -> str:
     """An expression in a message, if it is long its beginning."""
-    text = " ".join(ungrouped(node).span.text.split())
+    text = _without_comments(ungrouped(node))
     return text if len(text) <= 30 else text[:27] + "..."
+
+
+def _without_comments(node: ast.Expression) -> str:
+    """The text of an expression in one line."""
+    return " ".join(re.sub(r"#[^\n]*", "", node.span.text).split())
 
 
 def _in(node: ast.Expression, unit: Unit) -> str:
     """How an expression is written in another unit: all of it, and a conversion within it in its own parentheses."""
     inner = ungrouped(node)
-    text = " ".join(re.sub(r"#[^\n]*", "", inner.span.text).split())
+    text = _without_comments(inner)
     return f"(({text}) in {unit})" if isinstance(inner, ast.Conversion) else f"({text} in {unit})"

@@ -17,6 +17,7 @@ from gbspec.operations.analysing import validate
 from gbspec.operations.evaluating import of_run
 from gbspec.report import run_summary
 from gbspec.report.html import tables
+from gbspec.report.noises import learned_noises
 from gbspec.report.text import likelihood_lines
 from gbspec.report.verdict import verdict
 from gbspec.runs import Run
@@ -185,6 +186,9 @@ def test_the_learned_noise_stands_beside_the_constants(level: tuple[Run, Traject
     for made in (tables.constants(run), tables.few_constants(run)):
         assert [row[0] for row in made.rows] == ["s", "noise of x"]
     assert [line[:18] for line in likelihood_lines(run)] == ["-2 log likelihood "]
+    states = tuple(replace(state, unit="mg/L") for state in run.model.states)
+    (noise,) = learned_noises(replace(run, model=replace(run.model, states=states)))
+    assert noise.unit == "mg/L", "the unit is that of the state"
     errors = tables.metrics(validate(run, data).to_json())
     assert list(errors)[:3] == [
         "on the data, 1 row ahead",

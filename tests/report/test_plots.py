@@ -13,7 +13,7 @@ from gbspec.analysis import InitialStates
 from gbspec.analysis.prediction.start_comparison import InitialState
 from gbspec.diagnostics import UserError
 from gbspec.report import style
-from gbspec.report.breaking import broken
+from gbspec.report.breaking import broken, cut
 from gbspec.report.content import (
     ChannelFit,
     Given,
@@ -26,7 +26,7 @@ from gbspec.report.content import (
     Slice,
     TrajectoryFit,
 )
-from gbspec.report.description import Axis, Line, Points
+from gbspec.report.description import Axis, Block, Figure, Line, Panel, Points, Row, single
 from gbspec.report.drawn import drawn
 from gbspec.report.figures import constants, fit, functions, history, initial_states, phase, residuals, summary
 from gbspec.report.html.charts import stack
@@ -102,7 +102,43 @@ def test_initial_states_are_drawn_over_the_labels_of_trajectories() -> None:
     (panel,) = (panel for row in shown.rows[0][0].rows for panel in row.panels if panel and panel.title)
     assert stack([panel])["layout"]["xaxis"]["ticktext"] == ["P1", "P7", "Q2"]
     many = Axis("trajectory", names=tuple(f"a long name of trajectory {k}" for k in range(100))).ticks(20)
-    assert [place for place, _ in many] == list(range(0, 100, 5)) and all(len(name) == 16 for _, name in many)
+    assert many == [(k, f"…{k}") for k in range(0, 100, 5)]
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        (
+            ("short", "control_group_of_2021", "treated_group_of_2021"),
+            ["short", "control_group_o…", "treated_group_o…"],
+        ),
+        (("patient_number_01", "patient_number_12"), ["…01", "…12"]),
+        (("patient_number_11", "patient_number_12"), ["…11", "…12"]),
+        (("a", "patient_number_01", "patient_number_02"), ["a", "patient…umber_01", "patient…umber_02"]),
+        (("the_same_name_of_both", "the_same_name_of_both"), ["the_same_name_o…"] * 2),
+        ((), []),
+    ],
+)
+def test_long_names_of_places_are_cut_where_they_agree(names: tuple[str, ...], shown: list[str]) -> None:
+    assert cut(names, 16) == shown and all(len(name) <= 16 for name in shown)
+
+
+def test_a_long_name_beside_upright_names_stays_inside_of_the_figure() -> None:
+    labels = tuple(f"{k}_patient_of_{k}" for k in range(40))
+    line = Line(np.arange(40.0), np.arange(40.0))
+    name = "distance of the learned initial concentrations from those of the truth"
+    made = drawn(single(Panel((line,), Axis("trajectory", names=labels), Axis(name))))
+    made.draw_without_rendering()  # type: ignore[no-untyped-call]
+    extent = made.axes[0].yaxis.label.get_window_extent()
+    assert made.bbox.y0 <= extent.y0 and extent.y1 <= made.bbox.y1, made.axes[0].get_ylabel()
+
+
+def test_titles_reach_over_panels_without_one_and_are_not_broken_at_an_equals_sign() -> None:
+    title = "concentration: mean 0.02, variance 1.05, p = 0.012"
+    panels = [Panel((Line(GRID, GRID),), Axis("x"), Axis("y"), said) for said in (title, " ", " ")]
+    assert drawn(Figure(((Block((Row(tuple(panels)),)),),))).axes[0].get_title(loc="left") == title
+    assert broken(title, 47.0, 1.0) == "concentration: mean 0.02, variance 1.05,\np = 0.012"
+    assert broken("p = 0.012", 8.0, 1.0) == "p =\n0.012", "a line has no room for all of it"
 
 
 def test_inputs_and_doses_are_drawn_below_what_is_measured() -> None:

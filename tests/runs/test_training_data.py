@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 import gbspec
-from gbspec.data import Trajectories, content_digest, from_arrays, to_arrays
+from gbspec.data import Trajectories, content_digest, from_arrays, same_content, to_arrays
 from gbspec.diagnostics import Findings, UserError
 from gbspec.operations.tables import trained_on, training_data
 from gbspec.runs import open_run
@@ -63,19 +63,63 @@ def frame_of(place: Path) -> pl.DataFrame:
     return pl.read_csv(place / "data.csv")
 
 
+def rounded(frame: pl.DataFrame) -> pl.DataFrame:
+    """As another program may read it: one unit in the last place apart."""
+    return frame.with_columns(pl.Series("x", np.nextafter(frame["x"].to_numpy(), np.inf)))
+
+
 def test_a_data_frame_with_the_content_of_the_table_is_that_of_the_training(place: Path) -> None:
     run, frame = gbspec.open_run(place / "run"), frame_of(place)
     starts = run.learned_starts()
     assert run.learned_starts(frame).equals(starts)
-    rounded = frame.with_columns(pl.Series("x", np.nextafter(frame["x"].to_numpy(), np.inf)))  # as pandas may read it
-    assert run.learned_starts(rounded).equals(starts)
-    assert run.evaluate(rounded).nllh == run.evaluate().nllh
+    assert run.learned_starts(rounded(frame)).equals(starts)
+    assert run.evaluate(rounded(frame)).nllh == run.evaluate().nllh
     copied = place / "copied.csv"
     frame.write_csv(copied, line_terminator="\r\n")
     assert run.learned_starts(copied).equals(starts)
     for other in (frame.with_columns(pl.col("x") * 1.001), frame[:-1]):
         with pytest.raises(UserError, match="not what the run was trained on"):
             run.learned_starts(other)
+
+
+def test_the_command_line_takes_a_rounded_copy_for_the_training_data_as_python_does(place: Path) -> None:
+    rounded(frame_of(place)).write_csv(place / "copied.csv")
+    run = gbspec.open_run(place / "run")
+    for command in (("evaluate", "run"), ("validate", "run"), ("predict", "run", "-o", "p.csv")):
+        said = [tampering.called((*command[:2], table, *command[2:]), place)[1] for table in ("data.csv", "copied.csv")]
+        assert said[0] == said[1] != "", command
+    assert str(run.predict(place / "copied.csv")) == str(run.predict(place / "data.csv"))
+    assert str(run.validate(place / "copied.csv")) == str(run.validate(place / "data.csv"))
+
+
+def test_rounded_data_have_the_labels_that_were_given(place: Path) -> None:
+    frame = frame_of(place)
+    names = {label: f"0{label}.0" for label in frame["trajectory"].cast(pl.String).unique()}
+    named = rounded(frame).with_columns(pl.col("trajectory").cast(pl.String).replace(names))
+    run = gbspec.open_run(place / "run")
+    assert {item.label for item in run.predict(named).items} == set(names.values())
+    assert run.evaluate(named).nllh == run.evaluate().nllh
+
+
+def test_data_that_may_be_those_of_the_training_are_told_where_the_table_is_gone(place: Path, original: Path) -> None:
+    rounded(frame_of(place)).write_csv(place / "copied.csv")
+    text = (place / "run" / "fit.json").read_text().replace(str(original), "/nowhere")
+    (place / "run" / "fit.json").write_text(text)
+    (place / "data.csv").unlink()
+    run, table = gbspec.open_run(place / "run"), place / "copied.csv"
+    told = "no longer at that path; the given data, as many as these"
+    for found in (run.evaluate(table), run.validate(table), run.predict(table)):
+        assert told in str(found.notes()) + str(getattr(found, "warnings", ()))
+    for command in (("evaluate", "run", "copied.csv"), ("predict", "run", "copied.csv", "-o", "p.csv")):
+        status, _, said = tampering.called(command, place)
+        assert status == 0 and "warning[GB859]" in said and told in " ".join(said.split())
+
+
+@pytest.mark.parametrize(("one", "other", "same"), [("nan", "nan", True), ("1_0", "10", False), ("01", "1", True)])
+def test_labels_are_the_same_as_texts_or_as_numbers(one: str, other: str, same: bool) -> None:
+    times = np.linspace(0, 1, 4)
+    made = [Trajectories((trajectory(label, 0.0, times, times[:, None], []),), ("x",)) for label in (one, other)]
+    assert same_content(*made) is same
 
 
 def test_a_data_frame_is_recognised_where_the_table_is_gone(place: Path, original: Path) -> None:
@@ -86,7 +130,7 @@ def test_a_data_frame_is_recognised_where_the_table_is_gone(place: Path, origina
     run = gbspec.open_run(place / "run")
     assert len(run.learned_starts(frame)) == frame["trajectory"].n_unique()
     with pytest.raises(UserError, match="its table is gone"):
-        run.learned_starts(frame.with_columns(pl.Series("x", np.nextafter(frame["x"].to_numpy(), np.inf))))
+        run.learned_starts(rounded(frame))
 
 
 def test_data_in_no_table_are_kept_with_the_run(tmp_path: Path) -> None:

@@ -119,5 +119,19 @@ def test_a_statement_that_is_proposed_can_stand_in_the_place_of_the_wrong_one() 
     assert checked(text.replace("observe x : mg/L", found[1]))[0] is not None
 
 
+@pytest.mark.parametrize("written", ["exp(-(300 in K)/hot)", "exp(-Ea/((8.314 in kJ/mol/K)*hot))", "exp(-hot/T)"])
+def test_a_temperature_that_must_be_absolute_is_converted(written: str) -> None:
+    (error,) = checked(MODEL.format(**{**RIGHT, "pure": f"per_min*{written}*q"}))[1].errors
+    assert error.code == "GB503" and "`(hot in K)`" in error.help
+    assert (
+        checked(MODEL.format(**{**RIGHT, "pure": f"per_min*{written.replace('hot', '(hot in K)')}*q"}))[0] is not None
+    )
+
+
+def test_a_comment_is_no_part_of_what_is_told() -> None:
+    (error,) = checked(MODEL.format(**{**RIGHT, "mass": "-per_min*(x - (m0 # a dose\n  + m0))"}))[1].errors
+    assert "`m0 + m0`" in error.message and "dose" not in error.message + error.help
+
+
 def test_the_model_itself_is_right() -> None:
     assert checked(MODEL.format(**RIGHT))[0] is not None

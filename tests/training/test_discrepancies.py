@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,5 +88,9 @@ def test_a_run_keeps_them_and_draws_them(tmp_path: Path, monkeypatch: pytest.Mon
     assert found.mean == pytest.approx(0, abs=0.4)
     assert found.p > 0.01
     assert any("prediction errors of x" in line for line in population_lines(run))
+    states = tuple(replace(state, unit="mg/L") for state in run.model.states)
+    run = replace(run, model=replace(run.model, states=states))
     for kind in ("npde", "cwres", "vpc"):
-        assert draw(kind, run, data).axes
+        axes = draw(kind, run, data).axes
+        labels = [label for one in axes for label in (one.get_xlabel(), one.get_ylabel())]
+        assert any(label.endswith("[mg/L]") for label in labels), "the unit is that of the state"

@@ -65,7 +65,7 @@ def run(
         output.result(str(compared))
         return
     data = (
-        None if along is None else tables.read_data(along, subject.model, findings, require_channels=False, form=form)
+        None if along is None else tables.read_for_subject(subject, along, findings, require_channels=False, form=form)
     )
     output.findings(findings)
     found = analysing.eigen(subject, at=given, along=data, steady=steady or not (given or along))

@@ -37,7 +37,7 @@ def run(
     findings, values = Findings(), settings(set_values)
     if models.is_run(source):
         made = models.open_run(source, findings=findings)
-        table = tables.read_data(data, made.model, findings)
+        table = tables.read_for(made, data, findings)
         output.findings(findings)
         found = evaluating.of_run(made, table, values, member)
     else:

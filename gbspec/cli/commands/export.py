@@ -63,7 +63,7 @@ def run(
 
     findings = Findings()
     subject = models.subject(source, settings(set_values), findings, member)
-    table = None if data is None else tables.read_data(data, subject.model, findings)
+    table = None if data is None else tables.read_for_subject(subject, data, findings)
     options = ExportOptions(verify, "float32" if precision == "float32" else "float64", part, table)
     made = exporting.export(subject, to, as_, options, findings, source)
     output.findings(findings)

@@ -50,7 +50,7 @@ def run(
     measured = (
         tables.training_data(made, findings, required=False)
         if data is None
-        else tables.read_data(data, made.model, findings, form=form)
+        else tables.read_for(made, data, findings, form=form)
     )
     output.findings(findings)
     save(reporting.figure(kind, made, measured, show or ()), to)

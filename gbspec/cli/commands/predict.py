@@ -50,7 +50,7 @@ def run(
     path = target(to)
     findings = Findings()
     opened = models.open_run(directory, settings(set_values), findings)
-    table = tables.read_data(data, opened.model, findings, require_channels=False, form=form)
+    table = tables.read_for(opened, data, findings, require_channels=False, form=form)
     output.findings(tables.said_once(findings, opened, table))
     with output.console().status("predicting"):
         found = analysing.predict(opened, table, window=rows, path=path)

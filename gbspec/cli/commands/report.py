@@ -48,9 +48,7 @@ def run(
     opened = models.open_run(directory, settings(set_values), findings)
     path = writable(to if to is not None else Path(directory) / "report.html")
     table = (
-        tables.training_data(opened, findings)
-        if data is None
-        else tables.read_data(data, opened.model, findings, form=form)
+        tables.training_data(opened, findings) if data is None else tables.read_for(opened, data, findings, form=form)
     )
     output.findings(findings)
     diagram = None if over is None or ends is None else (over, *ends)

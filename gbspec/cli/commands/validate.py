@@ -29,9 +29,7 @@ def run(
     made = models.open_run(directory, settings(set_values), findings)
     chosen = which(member)
     measured = (
-        tables.training_data(made, findings)
-        if data is None
-        else tables.read_data(data, made.model, findings, form=form)
+        tables.training_data(made, findings) if data is None else tables.read_for(made, data, findings, form=form)
     )
     output.findings(findings)
     if data is None and measured is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import norm
 
 from gbspec.arrays import Array
-from gbspec.report.collect import population_tables
+from gbspec.report.collect import channel_unit, population_tables
 from gbspec.report.description import Axis, Block, Figure, Line, Panel, Points, Row, Rule
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, MUTED
@@ -28,7 +28,7 @@ def build(source: Source) -> Figure:
         if here.any():
             part = {name: found.arrays[name][here] for name in ("time", "population", "npde")}
             names = tuple(found.labels[int(i)] for i in found.arrays["owner"][here])
-            predicted = Axis(f"{channel.name}, predicted for the population", channel.unit or "", margin=0.04)
+            predicted = Axis(f"{channel.name}, predicted for the population", channel_unit(model, channel), margin=0.04)
             title = _title(channel.name, record.npde.get(channel.name))
             rows.append(_row(title, (time, predicted), part, names))
     if not rows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.report.collect import population_tables
+from gbspec.report.collect import channel_unit, population_tables
 from gbspec.report.description import Axis, Band, Block, Dash, Figure, Line, Mark, Panel, Points, Row
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, MEASURED, MUTED
@@ -29,7 +29,7 @@ def build(source: Source) -> Figure:
     for index, channel in enumerate(model.channels):
         here, seen = check[check[:, 0] == index], tables["channel"] == index
         if len(here):
-            given = Axis(channel.name, channel.unit or "", margin=0.05)
+            given = Axis(channel.name, channel_unit(model, channel), margin=0.05)
             points = tables["time"][seen], tables["value"][seen]
             rows.append(Row((Panel(_marks(here, *points), axis, given, width=6.2, height=3.0),)))
     return Figure(((Block(tuple(rows), "below"),),))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.report.collect import population_tables
+from gbspec.report.collect import channel_unit, population_tables
 from gbspec.report.description import Axis, Block, Figure, Line, Panel, Points, Row, Rule
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, MUTED
@@ -26,7 +26,7 @@ def build(source: Source) -> Figure:
         if here.any():
             part = {name: found.arrays[name][here] for name in ("time", "population", "individual", "value", "cwres")}
             names = tuple(found.labels[int(i)] for i in found.arrays["owner"][here])
-            rows.append(_row(channel.name, channel.unit or "", time, part, names))
+            rows.append(_row(channel.name, channel_unit(model, channel), time, part, names))
     return Figure(((Block(tuple(rows), "below"),),))
 
 
