@@ -227,3 +227,33 @@ def test_a_closed_branch_with_corners_is_followed_once_around() -> None:
     diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(cycles=False))
     assert [branch.ends for branch in diagram.branches] == [("closed", "closed")]
     assert [point.value for point in diagram.of_kind("nonsmooth_fold")] == pytest.approx([-0.47, 0.53])
+
+
+def test_a_step_does_not_lead_to_another_branch() -> None:
+    # A chemostat with the least of two limitations: at N = D the steady states with X > 0 are a line of constant N that
+    # turns at a corner. Newton's method from a point of the branch without X just beyond N = D leads to that corner.
+    def rhs(S: Any, X: Any, N: Any) -> tuple[Any, ...]:
+        rate = ca.fmin(S, N)
+        return 0.5 * (2.0 - S) - rate * X, (rate - 0.5) * X
+
+    system = textbook("chemostat", ("S", "X"), rhs, {"N": float("nan")}, {"S": (0.0, 4.0), "X": (0.0, 4.0)})
+    diagram = bifurcate(system, "N", 0.2, 2.2, BifurcationOptions(cycles=False))
+    (washout,) = [branch for branch in diagram.branches if np.max(branch.states[:, 1]) < 1e-9]
+    assert washout.ends == ("range", "range")
+    (crossing,) = diagram.of_kind("branch")
+    assert crossing.value == pytest.approx(0.5)
+    assert crossing.branches == (0, 1)
+    for branch in diagram.branches:
+        steps = np.diff(np.column_stack([branch.values / 2.0, branch.states / 4.0]), axis=0)
+        assert np.max(np.abs(steps)) < 0.05
+
+
+def test_both_sides_of_a_jump_are_branches_of_their_own() -> None:
+    def rhs(x: Any, mu: Any) -> tuple[Any, ...]:
+        return (ca.if_else(x > 0.5, 1.0, 0.0) + mu - x,)
+
+    system = textbook("jump", ("x",), rhs, {"mu": float("nan")}, {"x": (-2.0, 2.0)})
+    diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(cycles=False))
+    ends = sorted((float(min(branch.values)), float(max(branch.values))) for branch in diagram.branches)
+    assert np.array(ends) == pytest.approx(np.array([[-1.0, 0.5], [-0.5, 1.0]]), abs=1e-6)
+    assert all(branch.states[:, 0] - branch.values == pytest.approx(i) for i, branch in enumerate(diagram.branches))
