@@ -154,7 +154,7 @@ class SteadyCurve:
     def follow(self, start: CurvePoint, most: int = 4000) -> Followed:
         """Follows the curve from a point along its tangent; the result states why it ended."""
         result = Followed([start])
-        before, turned = start, False
+        before, turned = start, [False, False]
         unstable = self._unstable(start)
         for point, length in self.curve.walk(start, self.steps, corners=True):
             value = self.unscaled(point.y)[1]
@@ -168,12 +168,16 @@ class SteadyCurve:
             now = self._unstable(point)
             result.special.extend(self._changes(before, point, length, unstable, now))
             result.points.append(point)
-            turned = turned or bool(point.tangent @ start.tangent < 0.0)  # as any closed curve does somewhere
-            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most, turned)
-            if reason:
-                result.end = reason
-                if reason == "closed":  # the last step ends where the first began
-                    result.points[-1 if (point.y - start.y) @ start.tangent > 0.0 else len(result.points) :] = [start]
+            # A start on a corner has the tangent of neither side: the curve comes back to the point beyond it.
+            for i, one in enumerate(result.points[:2]):
+                turned[i] = turned[i] or bool(point.tangent @ one.tangent < 0.0)  # as any closed curve does somewhere
+                if turned[i] and not outside and self._back_at(one, point):  # the last step ends where the first began
+                    beyond = i == 1 or (point.y - start.y) @ start.tangent > 0.0
+                    result.points[-1 if beyond else len(result.points) :] = [start]
+                    result.end = "closed"
+                    return result
+            result.end = "range" if outside else self._reason_to_stop(point, len(result.points), most)
+            if result.end:
                 return result
             before, unstable = point, now
         result.end = "no step converged"
@@ -189,16 +193,20 @@ class SteadyCurve:
         tangent = self.curve.tangent(derivative, before.tangent)
         return None if tangent is None else CurvePoint(y, tangent, derivative)
 
-    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int, turned: bool) -> str:
+    def _back_at(self, earlier: CurvePoint, point: CurvePoint) -> bool:
+        """Whether the curve has come back to an earlier point, to within a step."""
+        apart = point.y - earlier.y
+        if np.max(np.abs(apart)) >= self.steps.most or point.tangent @ earlier.tangent <= 0.9:
+            return False
+        along = float(apart @ earlier.tangent) * earlier.tangent
+        return bool(np.linalg.norm(apart - along) < 0.1 * self.steps.most)
+
+    def _reason_to_stop(self, point: CurvePoint, count: int, most: int) -> str:
         state, _ = self.unscaled(point.y)
         if not self.family.system.admissible(state):
             return "a state falls below its range"
         if np.any(state < self._far[0]) or np.any(state > self._far[1]):
             return "a state moves far outside its range"
-        if turned and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
-            near = (point.y - start.y) @ start.tangent
-            if np.linalg.norm(point.y - start.y - near * start.tangent) < 0.1 * self.steps.most:
-                return "closed"
         return "number of points" if count >= most else ""
 
     # ------------------------------------------------------------------ special points
@@ -250,8 +258,10 @@ class SteadyCurve:
     def crossing(self, start: CurvePoint) -> CurvePoint | None:
         """The branch point at `start`, without a tangent; None if it is a regular point."""
         at = branch_point_at(self._raw, start.y)
-        tangents = [] if at is None else crossing_tangents(self._raw, at.y)
-        there = [any(self.switch(at, sign * one) is not None for sign in (1.0, -1.0)) for one in tangents if at]
+        if at is None:
+            return None
+        tangents = crossing_tangents(self._raw, at.y)
+        there = [any(self.switch(at, sign * one) is not None for sign in (1.0, -1.0)) for one in tangents]
         return at if there and all(there) else None
 
     def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
