@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -61,6 +62,15 @@ def test_branches_that_cross_at_a_transcritical_point(values: int) -> None:
     assert "(of branches 0 and 1)" in str(diagram)
     slopes = sorted(np.ptp(branch.states) / np.ptp(branch.values) for branch in diagram.branches)
     assert slopes == pytest.approx([0.0, 1.0])
+
+
+@pytest.mark.parametrize("values", VALUES)
+@pytest.mark.parametrize("at", [0.0, 0.1])
+def test_branches_that_cross_at_a_corner(values: int, at: float) -> None:
+    diagram = found(one_state(lambda x, mu: ca.fabs(mu - at) - ca.fabs(x)), values)
+    assert [branch.ends for branch in diagram.branches] == [("range", "range")] * 2
+    assert points(diagram) == [("branch", at, 0.0)]
+    assert diagram.special[0].branches == (0, 1)
 
 
 @pytest.mark.parametrize("values", VALUES)

@@ -14,11 +14,14 @@ from typing import Literal
 import numpy as np
 
 from gbspec.analysis.bifurcation.branch_point import branch_point, branch_point_at, crossing_tangents
-from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
+from gbspec.analysis.bifurcation.curve import BEYOND, Curve, CurvePoint, Steps, balanced, row_sizes
 from gbspec.analysis.systems import Family, axis_width, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
 
 Kind = Literal["fold", "nonsmooth_fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
+
+JUMP = 0.01
+"""DF jumps where it changes by more, relative to the size of its rows, over twice `BEYOND`."""
 
 
 @dataclass(frozen=True)
@@ -230,13 +233,27 @@ class SteadyCurve:
         sign_a, _ = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
         sign_b, _ = np.linalg.slogdet(np.vstack([b.derivative, b.tangent]))
         if sign_a * sign_b < 0:
-            self._add(found, "branch", branch_point(self._raw, a, b))
+            self._add(found, "branch", branch_point(self._raw, a, b) or self._crossing_at_corner(a, b, length))
         if abs(after - before) >= 2:
             rank = min(before, after)
             located = self.curve.locate(a, length, lambda point: float(self._eigenvalue(point, rank).real))
             if located is not None and abs(self._eigenvalue(located, rank).imag) > 1e-7:
                 self._add(found, "hopf", located)
         return found
+
+    def _crossing_at_corner(self, a: CurvePoint, b: CurvePoint, length: float) -> CurvePoint | None:
+        """The branch point between neighbours where branches cross at a corner, at which DF has no derivatives."""
+
+        def bordered(point: CurvePoint) -> float:
+            return float(np.linalg.det(np.vstack([point.derivative, point.tangent])))
+
+        located = self.curve.locate(a, length, bordered)
+        if located is None:
+            return None
+        sizes = np.maximum(*(row_sizes(self._raw(point.y)[1]) for point in (a, b)))
+        before, after = (self._raw(located.y + by * a.tangent)[1] for by in (-BEYOND, BEYOND))
+        jump = np.max(np.abs(after - before) / sizes[:, None])
+        return located if jump > JUMP else None
 
     def _eigenvalue(self, point: CurvePoint, rank: int) -> complex:
         """The eigenvalue of a rank; the last one where fewer characteristic roots are known."""
