@@ -262,3 +262,11 @@ def test_both_sides_of_a_jump_are_branches_of_their_own() -> None:
     ends = sorted((float(min(branch.values)), float(max(branch.values))) for branch in diagram.branches)
     assert np.array(ends) == pytest.approx(np.array([[-1.0, 0.5], [-0.5, 1.0]]), abs=1e-6)
     assert all(branch.states[:, 0] - branch.values == pytest.approx(i) for i, branch in enumerate(diagram.branches))
+
+
+def test_a_branch_that_ends_before_the_end_of_the_range_says_so() -> None:
+    # At mu = 0 every x is a steady state: no single one is found there.
+    system = textbook("cross", ("x",), lambda x, mu: (mu * (x - 0.3),), {"mu": float("nan")}, {"x": (-2.0, 2.0)})
+    (branch,) = bifurcate(system, "mu", 0.0, 1.0, BifurcationOptions(values=2, cycles=False)).branches
+    assert 0.0 < min(branch.values) < 0.05
+    assert sorted(branch.ends) == ["no point found at the end of the range", "range"]

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.branch_point import branch_point, branch_point_at, crossing_tangents
+from gbspec.analysis.bifurcation.branch_point import branch_point, branch_point_at, crossing_tangents, singular
 from gbspec.analysis.bifurcation.curve import BEYOND, Curve, CurvePoint, Steps, balanced, row_sizes
 from gbspec.analysis.systems import Family, axis_width, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
@@ -164,8 +164,8 @@ class SteadyCurve:
             outside = value < self.low or value > self.high
             if outside:
                 last = self._at_end(before, self.low if value < self.low else self.high)
-                if last is None:
-                    result.end = "range"
+                if last is None:  # as where branches cross at the end of the range
+                    result.end = "no point found at the end of the range"
                     return result
                 length, point = float((last.y - before.y) @ before.tangent), last
             now = self._unstable(point)
@@ -229,7 +229,10 @@ class SteadyCurve:
         if a.tangent @ b.tangent < self.steps.turn:  # around a corner, next to which a lies
             return [("nonsmooth_fold", _corner(a, b))] if a.tangent[-1] * b.tangent[-1] < 0.0 else []
         if a.tangent[-1] * b.tangent[-1] < 0.0:
-            self._add(found, "fold", self.curve.locate(a, length, lambda point: float(point.tangent[-1])))
+            fold = self.curve.locate(a, length, lambda point: float(point.tangent[-1]))
+            # Where several branches cross, one that turns there has no fold of its own.
+            if fold is not None and not singular(self._raw, fold.y):
+                found.append(("fold", fold))
         sign_a, _ = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
         sign_b, _ = np.linalg.slogdet(np.vstack([b.derivative, b.tangent]))
         if sign_a * sign_b < 0:
