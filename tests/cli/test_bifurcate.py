@@ -176,3 +176,13 @@ def test_a_state_that_stays_where_it_starts(here: Path, gbspec: Run) -> None:
     said = " ".join(gbspec("bifurcate", "still.gb", "--over", "u", "--range", 0.1, 2).stderr.split())
     assert "leave `d` where it starts: every start has steady states of its own" in said
     assert "`const d = …` in place of the state `d`, its balance, its `initial` and its `diffusion`" in said
+
+
+def test_a_total_that_is_conserved_as_a_flow_is_zero(here: Path, gbspec: Run) -> None:
+    Path("open.gb").write_text(
+        CLOSED.replace("other*B\nB'", "other*B - q*A\nB'").replace("const", "const q = 0\nconst")
+    )
+    asked = ("bifurcate", "open.gb", "--over", "k", "--range", 0.1, 2)
+    assert "conserve `A + B` where `q` is zero: every total" in " ".join(gbspec(*asked).stderr.split())
+    assert gbspec(*asked, "--set", "q=0.1").exit_code == 0
+    assert gbspec("bifurcate", "open.gb", "--over", "q", "--range", 0.1, 2).exit_code == 0
