@@ -99,6 +99,7 @@ from .model import TruthFunction as TruthFunction
 from .model import Unknown as Unknown
 from .model import symbol as symbol
 from .model import unknown_function as unknown_function
+from .naming import new_name as new_name
 from .noises import LEAST_COUNT as LEAST_COUNT
 from .noises import NOISES as NOISES
 from .noises import WITH_DENSITY as WITH_DENSITY

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -57,9 +57,10 @@ def eigen(
     from gbspec.analysis import eigen as run
 
     _without_events(source, "eigen")
-    if steady:
-        require_isolated(source.model)
     points = [at] if isinstance(at, Mapping) else at
+    if steady:
+        moved = {name for point in points for name in point}
+        require_isolated(source.model, _held(system(source), moved))
     wrong = [problem for point in points for problem in not_categories(source.model.conditions, _each(point))]
     if wrong:
         raise UserError(wrong)
@@ -95,7 +96,12 @@ def _isolated(source: Subject, subject: System, varied: Mapping[str, Box]) -> No
     for name, box in varied.items():
         require_range(name, *box)
     if all(name in subject.parameters for name in varied):
-        require_isolated(source.model)
+        require_isolated(source.model, _held(subject, varied))
+
+
+def _held(subject: System, varied: Collection[str]) -> dict[str, float]:
+    """The values of all that is not varied."""
+    return {name: value for name, value in subject.values.items() if name not in varied}
 
 
 def _without_events(source: Subject, command: str) -> None:

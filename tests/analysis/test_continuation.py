@@ -219,11 +219,54 @@ def test_a_branch_goes_on_around_a_corner_at_which_it_does_not_turn() -> None:
     assert sorted(branch.states[[0, -1], 0]) == pytest.approx([-1.0, 0.2])
 
 
-def test_a_closed_branch_with_corners_is_followed_once_around() -> None:
+@pytest.mark.parametrize("middle", [0.03, 0.0])
+def test_a_closed_branch_with_corners_is_followed_once_around(middle: float) -> None:
+    # At middle 0 searches begin at corners.
     def rhs(x: Any, mu: Any) -> tuple[Any, ...]:
-        return (0.5 - ca.fabs(x) - ca.fabs(mu - 0.03),)
+        return (0.5 - ca.fabs(x) - ca.fabs(mu - middle),)
 
     system = textbook("diamond", ("x",), rhs, {"mu": float("nan")}, {"x": (-2.0, 2.0)})
     diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(cycles=False))
     assert [branch.ends for branch in diagram.branches] == [("closed", "closed")]
-    assert [point.value for point in diagram.of_kind("nonsmooth_fold")] == pytest.approx([-0.47, 0.53])
+    assert len(diagram.branches[0].points) < 200
+    assert diagram.branches[0].points[0].state == pytest.approx(diagram.branches[0].points[-1].state)
+    folds = [point.value for point in diagram.of_kind("nonsmooth_fold")]
+    assert folds == pytest.approx([middle - 0.5, middle + 0.5])
+
+
+def test_a_step_does_not_lead_to_another_branch() -> None:
+    # A chemostat with the least of two limitations: at N = D the steady states with X > 0 are a line of constant N that
+    # turns at a corner. Newton's method from a point of the branch without X just beyond N = D leads to that corner.
+    def rhs(S: Any, X: Any, N: Any) -> tuple[Any, ...]:
+        rate = ca.fmin(S, N)
+        return 0.5 * (2.0 - S) - rate * X, (rate - 0.5) * X
+
+    system = textbook("chemostat", ("S", "X"), rhs, {"N": float("nan")}, {"S": (0.0, 4.0), "X": (0.0, 4.0)})
+    diagram = bifurcate(system, "N", 0.2, 2.2, BifurcationOptions(cycles=False))
+    (washout,) = [branch for branch in diagram.branches if np.max(branch.states[:, 1]) < 1e-9]
+    assert washout.ends == ("range", "range")
+    (crossing,) = diagram.of_kind("branch")
+    assert crossing.value == pytest.approx(0.5)
+    assert crossing.branches == (0, 1)
+    for branch in diagram.branches:
+        steps = np.diff(np.column_stack([branch.values / 2.0, branch.states / 4.0]), axis=0)
+        assert np.max(np.abs(steps)) < 0.05
+
+
+def test_both_sides_of_a_jump_are_branches_of_their_own() -> None:
+    def rhs(x: Any, mu: Any) -> tuple[Any, ...]:
+        return (ca.if_else(x > 0.5, 1.0, 0.0) + mu - x,)
+
+    system = textbook("jump", ("x",), rhs, {"mu": float("nan")}, {"x": (-2.0, 2.0)})
+    diagram = bifurcate(system, "mu", -1.0, 1.0, BifurcationOptions(cycles=False))
+    ends = sorted((float(min(branch.values)), float(max(branch.values))) for branch in diagram.branches)
+    assert np.array(ends) == pytest.approx(np.array([[-1.0, 0.5], [-0.5, 1.0]]), abs=1e-6)
+    assert all(branch.states[:, 0] - branch.values == pytest.approx(i) for i, branch in enumerate(diagram.branches))
+
+
+def test_a_branch_that_ends_before_the_end_of_the_range_says_so() -> None:
+    # At mu = 0 every x is a steady state: no single one is found there.
+    system = textbook("cross", ("x",), lambda x, mu: (mu * (x - 0.3),), {"mu": float("nan")}, {"x": (-2.0, 2.0)})
+    (branch,) = bifurcate(system, "mu", 0.0, 1.0, BifurcationOptions(values=2, cycles=False)).branches
+    assert 0.0 < min(branch.values) < 0.05
+    assert sorted(branch.ends) == ["no point found at the end of the range", "range"]

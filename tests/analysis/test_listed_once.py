@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -50,7 +51,7 @@ def test_branches_that_cross_at_a_subcritical_pitchfork(values: int) -> None:
     fold = round(float(np.sqrt(0.5)), 6)
     assert sorted(points(diagram)) == [("branch", 0.0, 0.0), ("fold", -0.25, -fold), ("fold", -0.25, fold)]
     assert diagram.of_kind("branch")[0].branches == (0, 1)
-    assert diagram.to_json()["special"][2]["branches"] == [0, 1]  # type: ignore[index]
+    assert [one["branches"] for one in diagram.to_json()["special"]] == [[], [], [0, 1]]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("values", VALUES)
@@ -61,6 +62,15 @@ def test_branches_that_cross_at_a_transcritical_point(values: int) -> None:
     assert "(of branches 0 and 1)" in str(diagram)
     slopes = sorted(np.ptp(branch.states) / np.ptp(branch.values) for branch in diagram.branches)
     assert slopes == pytest.approx([0.0, 1.0])
+
+
+@pytest.mark.parametrize("values", VALUES)
+@pytest.mark.parametrize("at", [0.0, 0.1])
+def test_branches_that_cross_at_a_corner(values: int, at: float) -> None:
+    diagram = found(one_state(lambda x, mu: ca.fabs(mu - at) - ca.fabs(x)), values)
+    assert [branch.ends for branch in diagram.branches] == [("range", "range")] * 2
+    assert points(diagram) == [("branch", at, 0.0)]
+    assert diagram.special[0].branches == (0, 1)
 
 
 @pytest.mark.parametrize("values", VALUES)
@@ -94,3 +104,14 @@ def test_cycles_found_by_simulation_that_were_followed_before() -> None:
     assert len(doubled) == len(set(doubled))
     longest = [max(cycle.period for cycle in branch.cycles) for branch in diagram.cycles]
     assert len({round(period, 2) for period in longest}) == len(longest)
+
+
+@pytest.mark.parametrize("values", VALUES)
+def test_branches_that_turn_where_several_cross_have_no_fold_there(values: int) -> None:
+    def rhs(x: Any, y: Any, mu: Any) -> tuple[Any, ...]:
+        return mu * x - x**3 - 0.5 * x * y**2, mu * y - y**3 - 0.5 * y * x**2
+
+    ranges = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}
+    diagram = found(textbook("square", ("x", "y"), rhs, {"mu": float("nan")}, ranges), values)
+    assert len(diagram.branches) == 5
+    assert diagram.of_kind("fold") == ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -82,6 +83,15 @@ def test_a_plane_without_curves_says_so() -> None:
     diagram = bifurcation_plane(urp(), ("Da", "beta"), ((0.2, 0.21), (4.0, 5.0)))
     assert diagram.curves == ()
     assert "no Hopf points and no folds" in str(diagram)
+
+
+def test_a_plane_with_folds_at_corners_says_that_they_are_not_followed() -> None:
+    ranges = {"x": (-2.0, 2.0)}
+    system = textbook("corner", ("x",), lambda x, a, b: (a + b - ca.fabs(x),), {"a": 0.0, "b": 0.0}, ranges)
+    diagram = bifurcation_plane(system, ("a", "b"), ((-1.0, 1.0), (-0.5, 0.5)))
+    assert diagram.curves == ()
+    assert "non-smooth folds, which are not followed" in str(diagram)
+    assert "no Hopf points and no other folds" in str(diagram)
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,57 @@ def test_each_of_two_totals_is_named(here: Path, gbspec: Run) -> None:
         "E' = -k*E*S + 2*C\nS' = -k*E*S + C + 0.1*P\nC' = k*E*S - 2*C\nP' = C - 0.1*P\ntotal_C' = 0\nobserve P\n"
     )
     said = " ".join(gbspec("bifurcate", "enzyme.gb", "--over", "k", "--range", 0.1, 1).stderr.split())
-    assert "conserve `total_C` and `-E + P + S` and `C + E`" in said
+    assert "conserve `-E + P + S` and `C + E` and leave `total_C` where it starts: every total or start has" in said
     assert "`let P = total_P + E - S`" in said
     assert "`let C = total_C_ - E`" in said
     assert "`const total_C = …` in place of the state `total_C`" in said
+
+
+PROCESSES = """\
+model processes
+state A in [0, 2] = 1
+state B in [0, 2] = 0
+condition k in [0.1, 2] = 1
+let total = A + B
+process forth: A -> B rate k*A
+process back: B -> A rate B
+A' = net(A)
+B' = net(B)
+initial B = 0.1
+observe total
+"""
+
+
+def test_the_advice_for_a_state_of_processes_can_be_followed(here: Path, gbspec: Run, document: Run) -> None:
+    asked = ("--over", "k", "--range", 0.1, 2)
+    Path("processes.gb").write_text(PROCESSES)
+    said = " ".join(gbspec("bifurcate", "processes.gb", *asked).stderr.split())
+    assert "`const total_ = …` and `let B = total_ - A`" in said
+    assert "in place of the state `B`, its balance and its `initial`" in said
+    assert "leave `B` out of the sides of processes" in said
+    changed = PROCESSES.replace("state B in [0, 2] = 0", "const total_ = 1\nlet B = total_ - A")
+    for before, after in (("A -> B", "A ->"), ("B -> A", "-> A"), ("B' = net(B)\n", ""), ("initial B = 0.1\n", "")):
+        changed = changed.replace(before, after)
+    Path("processes.gb").write_text(changed)
+    (branch,) = document("bifurcate", "processes.gb", *asked)["branches"]
+    assert branch["ends"] == ["range", "range"]
+
+
+def test_a_state_that_stays_where_it_starts(here: Path, gbspec: Run) -> None:
+    Path("still.gb").write_text(
+        "model still\nstate x in [0, 3] = 1\nstate d in [-1, 1] = 0\ncondition u in [0.1, 2] = 1\n"
+        "x' = u + d - x\nd' = 0\ninitial d = 0\ndiffusion d = 0.1\nobserve x\n"
+    )
+    said = " ".join(gbspec("bifurcate", "still.gb", "--over", "u", "--range", 0.1, 2).stderr.split())
+    assert "leave `d` where it starts: every start has steady states of its own" in said
+    assert "`const d = …` in place of the state `d`, its balance, its `initial` and its `diffusion`" in said
+
+
+def test_a_total_that_is_conserved_as_a_flow_is_zero(here: Path, gbspec: Run) -> None:
+    Path("open.gb").write_text(
+        CLOSED.replace("other*B\nB'", "other*B - q*A\nB'").replace("const", "const q = 0\nconst")
+    )
+    asked = ("bifurcate", "open.gb", "--over", "k", "--range", 0.1, 2)
+    assert "conserve `A + B` where `q` is zero: every total" in " ".join(gbspec(*asked).stderr.split())
+    assert gbspec(*asked, "--set", "q=0.1").exit_code == 0
+    assert gbspec("bifurcate", "open.gb", "--over", "q", "--range", 0.1, 2).exit_code == 0

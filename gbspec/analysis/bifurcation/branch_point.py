@@ -53,13 +53,18 @@ def branch_point_at(evaluate: Raw, y: Array) -> CurvePoint | None:
 
     Its tangent is zero: two branches continue, along both `crossing_tangents`.
     """
-    scaled = _scaled(evaluate, y)
-    if np.linalg.svd(scaled(y)[1], compute_uv=False)[-1] > SINGULAR:
+    if not singular(evaluate, y):
         return None
+    scaled = _scaled(evaluate, y)
     found = _extended(scaled, y)
     if found is None or np.max(np.abs(found - y)) > AT:
         return None
     return CurvePoint(found, np.zeros_like(found), scaled(found)[1])
+
+
+def singular(evaluate: Raw, y: Array) -> bool:
+    """Whether the curve has no unique tangent at y, as at branch points, simple or degenerate; at a fold it has one."""
+    return bool(np.linalg.svd(_scaled(evaluate, y)(y)[1], compute_uv=False)[-1] <= SINGULAR)
 
 
 def crossing_tangents(evaluate: Raw, y: Array) -> list[Array]:

@@ -13,12 +13,15 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.branch_point import branch_point, branch_point_at, crossing_tangents
-from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
+from gbspec.analysis.bifurcation.branch_point import branch_point, branch_point_at, crossing_tangents, singular
+from gbspec.analysis.bifurcation.curve import BEYOND, Curve, CurvePoint, Steps, balanced, row_sizes
 from gbspec.analysis.systems import Family, axis_width, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
 
 Kind = Literal["fold", "nonsmooth_fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
+
+JUMP = 0.01
+"""DF jumps where it changes by more, relative to the size of its rows, over twice `BEYOND`."""
 
 
 @dataclass(frozen=True)
@@ -154,26 +157,30 @@ class SteadyCurve:
     def follow(self, start: CurvePoint, most: int = 4000) -> Followed:
         """Follows the curve from a point along its tangent; the result states why it ended."""
         result = Followed([start])
-        before, turned = start, False
+        before, turned = start, [False, False]
         unstable = self._unstable(start)
         for point, length in self.curve.walk(start, self.steps, corners=True):
             value = self.unscaled(point.y)[1]
             outside = value < self.low or value > self.high
             if outside:
                 last = self._at_end(before, self.low if value < self.low else self.high)
-                if last is None:
-                    result.end = "range"
+                if last is None:  # as where branches cross at the end of the range
+                    result.end = "no point found at the end of the range"
                     return result
                 length, point = float((last.y - before.y) @ before.tangent), last
             now = self._unstable(point)
             result.special.extend(self._changes(before, point, length, unstable, now))
             result.points.append(point)
-            turned = turned or bool(point.tangent @ start.tangent < 0.0)  # as any closed curve does somewhere
-            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most, turned)
-            if reason:
-                result.end = reason
-                if reason == "closed":  # the last step ends where the first began
-                    result.points[-1 if (point.y - start.y) @ start.tangent > 0.0 else len(result.points) :] = [start]
+            # A start on a corner has the tangent of neither side: the curve comes back to the point beyond it.
+            for i, one in enumerate(result.points[:2]):
+                turned[i] = turned[i] or bool(point.tangent @ one.tangent < 0.0)  # as any closed curve does somewhere
+                if turned[i] and not outside and self._back_at(one, point):  # the last step ends where the first began
+                    beyond = i == 1 or (point.y - start.y) @ start.tangent > 0.0
+                    result.points[-1 if beyond else len(result.points) :] = [start]
+                    result.end = "closed"
+                    return result
+            result.end = "range" if outside else self._reason_to_stop(point, len(result.points), most)
+            if result.end:
                 return result
             before, unstable = point, now
         result.end = "no step converged"
@@ -189,16 +196,20 @@ class SteadyCurve:
         tangent = self.curve.tangent(derivative, before.tangent)
         return None if tangent is None else CurvePoint(y, tangent, derivative)
 
-    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int, turned: bool) -> str:
+    def _back_at(self, earlier: CurvePoint, point: CurvePoint) -> bool:
+        """Whether the curve has come back to an earlier point, to within a step."""
+        apart = point.y - earlier.y
+        if np.max(np.abs(apart)) >= self.steps.most or point.tangent @ earlier.tangent <= 0.9:
+            return False
+        along = float(apart @ earlier.tangent) * earlier.tangent
+        return bool(np.linalg.norm(apart - along) < 0.1 * self.steps.most)
+
+    def _reason_to_stop(self, point: CurvePoint, count: int, most: int) -> str:
         state, _ = self.unscaled(point.y)
         if not self.family.system.admissible(state):
             return "a state falls below its range"
         if np.any(state < self._far[0]) or np.any(state > self._far[1]):
             return "a state moves far outside its range"
-        if turned and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
-            near = (point.y - start.y) @ start.tangent
-            if np.linalg.norm(point.y - start.y - near * start.tangent) < 0.1 * self.steps.most:
-                return "closed"
         return "number of points" if count >= most else ""
 
     # ------------------------------------------------------------------ special points
@@ -218,17 +229,34 @@ class SteadyCurve:
         if a.tangent @ b.tangent < self.steps.turn:  # around a corner, next to which a lies
             return [("nonsmooth_fold", _corner(a, b))] if a.tangent[-1] * b.tangent[-1] < 0.0 else []
         if a.tangent[-1] * b.tangent[-1] < 0.0:
-            self._add(found, "fold", self.curve.locate(a, length, lambda point: float(point.tangent[-1])))
+            fold = self.curve.locate(a, length, lambda point: float(point.tangent[-1]))
+            # Where several branches cross, one that turns there has no fold of its own.
+            if fold is not None and not singular(self._raw, fold.y):
+                found.append(("fold", fold))
         sign_a, _ = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
         sign_b, _ = np.linalg.slogdet(np.vstack([b.derivative, b.tangent]))
         if sign_a * sign_b < 0:
-            self._add(found, "branch", branch_point(self._raw, a, b))
+            self._add(found, "branch", branch_point(self._raw, a, b) or self._crossing_at_corner(a, b, length))
         if abs(after - before) >= 2:
             rank = min(before, after)
             located = self.curve.locate(a, length, lambda point: float(self._eigenvalue(point, rank).real))
             if located is not None and abs(self._eigenvalue(located, rank).imag) > 1e-7:
                 self._add(found, "hopf", located)
         return found
+
+    def _crossing_at_corner(self, a: CurvePoint, b: CurvePoint, length: float) -> CurvePoint | None:
+        """The branch point between neighbours where branches cross at a corner, at which DF has no derivatives."""
+
+        def bordered(point: CurvePoint) -> float:
+            return float(np.linalg.det(np.vstack([point.derivative, point.tangent])))
+
+        located = self.curve.locate(a, length, bordered)
+        if located is None:
+            return None
+        sizes = np.maximum(*(row_sizes(self._raw(point.y)[1]) for point in (a, b)))
+        before, after = (self._raw(located.y + by * a.tangent)[1] for by in (-BEYOND, BEYOND))
+        jump = np.max(np.abs(after - before) / sizes[:, None])
+        return located if jump > JUMP else None
 
     def _eigenvalue(self, point: CurvePoint, rank: int) -> complex:
         """The eigenvalue of a rank; the last one where fewer characteristic roots are known."""
@@ -250,8 +278,10 @@ class SteadyCurve:
     def crossing(self, start: CurvePoint) -> CurvePoint | None:
         """The branch point at `start`, without a tangent; None if it is a regular point."""
         at = branch_point_at(self._raw, start.y)
-        tangents = [] if at is None else crossing_tangents(self._raw, at.y)
-        there = [any(self.switch(at, sign * one) is not None for sign in (1.0, -1.0)) for one in tangents if at]
+        if at is None:
+            return None
+        tangents = crossing_tangents(self._raw, at.y)
+        there = [any(self.switch(at, sign * one) is not None for sign in (1.0, -1.0)) for one in tangents]
         return at if there and all(there) else None
 
     def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:

@@ -100,7 +100,10 @@ class Curve:
         `corners` it goes on around those where DF jumps, as at `abs` or `max`."""
         here, length = start, steps.first
         while True:
-            corrected = self.correct(here.y + length * here.tangent, here.tangent)
+            guess = here.y + length * here.tangent
+            corrected = self.correct(guess, here.tangent)
+            if corrected is not None and np.linalg.norm(corrected[0] - guess) > length:  # of another branch
+                corrected = None
             tangent = None if corrected is None else self.tangent(corrected[1], here.tangent)
             if corrected is None or tangent is None or tangent @ here.tangent < steps.turn:
                 length /= 2.0

@@ -105,7 +105,7 @@ class Diagram(Shown):
             "frequency": point.frequency,
             "l1": point.l1,
             "branch": point.branch,
-            "branches": list(point.branches) or [point.branch],
+            "branches": list(point.branches),
         }
 
     def _cycle(self, cycle: Cycle, branch: int) -> dict[str, object]:

@@ -26,13 +26,15 @@ SAMPLES = 512
 
 
 def on_curve(curve: Curve, y: Array, points: Sequence[CurvePoint]) -> bool:
-    """Whether y [m+1] is a point of the curve between neighbours among `points`, which follow each other on it.
+    """Whether y [m+1] is one of `points`, which follow each other on the curve, or a point of it between neighbours.
 
     The hyperplane through y across a step meets the curve once, also at a fold, where a value of the parameter meets it
     twice or not at all. Newton's method in that plane starts from the cubic through both ends with their tangents, so
     that it leads to this branch rather than to another that runs close by.
     """
     nodes = np.array([point.y for point in points])
+    if np.min(np.max(np.abs(nodes - y), axis=1)) < SAME:  # also just beyond the end of a curve
+        return True
     chords = np.diff(nodes, axis=0)
     lengths = np.maximum(np.linalg.norm(chords, axis=1), 1e-150)
     parts = np.sum((y - nodes[:-1]) * chords, axis=1) / lengths**2

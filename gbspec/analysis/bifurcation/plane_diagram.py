@@ -33,7 +33,8 @@ KINDS = {"bautin": "Bautin point", "bogdanov_takens": "Bogdanov-Takens point", "
 class PlaneDiagram(Shown):
     """The Hopf and fold curves of a system in a box of the plane of two parameters.
 
-    `trained` holds both parameters' trained (else plausible) ranges, None for an unknown one.
+    `trained` holds both parameters' trained (else plausible) ranges, None for an unknown one. `corners`: there are
+    folds at corners of the equations, too, which are not followed.
     """
 
     name: str
@@ -41,6 +42,7 @@ class PlaneDiagram(Shown):
     boxes: tuple[Box, Box]
     curves: tuple[PlaneCurve, ...]
     trained: tuple[Box | None, Box | None] = (None, None)
+    corners: bool = False
 
     def to_frame(self) -> pl.DataFrame:
         """One row for each point: `curve`, `kind`, both parameters, and the states."""
@@ -87,8 +89,12 @@ class PlaneDiagram(Shown):
             for kind, point in curve.special:
                 x, y = point.values
                 lines.append(f"    {KINDS[kind]} at {a} = {x:.8g}, {b} = {y:.8g}")
+        if self.corners:
+            lines.append(
+                "  there are non-smooth folds, which are not followed in a plane: vary one parameter to see them"
+            )
         if not self.curves:
-            lines.append("  no Hopf points and no folds")
+            lines.append(f"  no Hopf points and no {'other ' if self.corners else ''}folds")
         return "\n".join(lines)
 
 
@@ -113,7 +119,7 @@ def bifurcation_plane(
             search.line(along, low + float(part) * (high - low))
     known = [system.trained.get(name, system.range(name)) for name in names]
     first, second = (box if np.isfinite(box).all() else None for box in known)
-    return PlaneDiagram(system.name, names, boxes, tuple(search.curves), (first, second))
+    return PlaneDiagram(system.name, names, boxes, tuple(search.curves), (first, second), search.corners)
 
 
 class _Search:
@@ -124,12 +130,14 @@ class _Search:
     ) -> None:
         self.system, self.names, self.boxes, self.progress = system, names, boxes, progress
         self.curves: list[PlaneCurve] = []
+        self.corners = False
         self.widths = np.concatenate([system.scale, [high - low for low, high in boxes]])
 
     def line(self, along: int, other: float) -> None:
         """Follows the curves through the Hopf points and folds over one parameter at a value of the other."""
         fixed = self.system.with_values({self.names[1 - along]: other})
         found = bifurcate(fixed, self.names[along], *self.boxes[along], ACROSS)
+        self.corners |= bool(found.of_kind("nonsmooth_fold"))
         for point in found.of_kind("hopf", "fold"):
             values = (point.value, other) if along == 0 else (other, point.value)
             self.follow("hopf" if point.kind == "hopf" else "fold", point.state, values)

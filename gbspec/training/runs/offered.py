@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir import Model, Range, logarithmic
-from gbspec.training.runs.naming import new_name
+from gbspec.ir import Model, Range, logarithmic, new_name
 
 SPELLED_OUT = 2
 """Of so many states each one's statements of a disturbance are written out; of more the first one's show how."""

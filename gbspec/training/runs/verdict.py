@@ -10,7 +10,7 @@ from scipy.special import chdtr
 from sympy.core.function import AppliedUndef
 
 from gbspec.diagnostics import Findings
-from gbspec.ir import Channel, Model
+from gbspec.ir import Channel, Model, new_name
 from gbspec.passes import by_one_trajectory, examine
 from gbspec.runs import (
     COLOURED,
@@ -25,7 +25,7 @@ from gbspec.runs import (
 )
 from gbspec.training.problem import share_that_counts
 from gbspec.training.runs.beside_naive import better, lost_ahead, squared_errors, worse_ahead
-from gbspec.training.runs.naming import labelled, new_name
+from gbspec.training.runs.naming import labelled
 from gbspec.training.runs.offered import offered
 from gbspec.training.runs.unbounded import said_of_unbounded
 
