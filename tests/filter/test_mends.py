@@ -84,6 +84,27 @@ def test_a_start_whose_spread_diverges_is_told_with_its_remedy(tmp_path: Path) -
     assert "`initial p learn`" in caught.value.remedy
 
 
+def test_a_first_value_without_a_logarithm_is_told_where_no_step_is_short_enough(tmp_path: Path) -> None:
+    text = "model z\ntime t\nstate x in [0, 10]\nlearn a = 0.5 in [0.01, 10]\nlearn k = 0.3 in [0.01, 10]\n"
+    text += "learn s = 0.2 in [0.001, 5]\nx' = a - k*x\ndiffusion x = s*x\nobserve x noise normal(0.02)\n"
+    times = np.arange(0.5, 20, 0.5)
+    values = 1.6 * (1 - np.exp(-0.6 * times)) * (1 + 0.05 * np.sin(17 * times))
+    model = tmp_path / "m.gb"
+    model.write_text(text, encoding="utf-8")
+    rest = [f"{t},{x:.5f}" for t, x in zip(times, values, strict=True)]
+
+    def trained(first: str) -> None:
+        (tmp_path / "d.csv").write_text("\n".join(["t,x", first, *rest]) + "\n", encoding="utf-8")
+        known = load_model(model, Findings())
+        data = read(tmp_path / "d.csv", known, Findings())
+        train(known, data, TrainOptions(effort="low", backend="torch", device="cpu"), tmp_path / f"run{first[-1]}")
+
+    with pytest.raises(ComputationError) as caught:
+        trained("0,0")
+    assert "the first value of `x`, 0, has no logarithm" in caught.value.remedy
+    trained("0,")
+
+
 def test_a_start_whose_iterations_fail_gives_way_to_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of several vectors one whose information is not finite does not end the fit; alone it does."""
     engine, vector = engine_of(tmp_path, BENT, table("X V y", rows=4))
