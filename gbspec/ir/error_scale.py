@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,9 +30,9 @@ Array = NDArray[np.float64]
 
 OF_COUNTS = "of counts on the scale of their noise"
 """What a text says of R² on that scale."""
-NODES, ALIKE = 400, 200
+NODES, KNOWN = 400, 160
 """Probabilities at which an expectation takes its counts; and so many expectations, between which others lie."""
-FEWEST, MOST = 1e-3, 1e8
+FEWEST, MOST = 1e-3, 1e4
 """Counts of smaller expectation are zeros; above the other, T(f) is as far from the expectation of T(Y) as there."""
 
 
@@ -92,7 +93,7 @@ def _expected(mean: Array, size: float, number: Array | float) -> Array:
 
     The sum of n counts is a count of size n k, whose T is sqrt(n) times that of the average.
     """
-    f, n = np.broadcast_arrays(mean, np.maximum(number, 1.0))
+    f, n = np.broadcast_arrays(mean, np.maximum(np.rint(number), 1.0))
     out = _stabilised(f, size)
     for one in np.unique(n[np.isfinite(n)]).tolist():
         here = (n == one) & np.isfinite(f)
@@ -101,12 +102,14 @@ def _expected(mean: Array, size: float, number: Array | float) -> Array:
 
 
 def _above_expectation(mean: Array, size: float) -> Array:
-    """How much T of the expectations `mean` [m] is larger than the expectation of T, interpolated where there are
-    many."""
-    known = np.unique(np.clip(mean, FEWEST, MOST))
-    if len(known) > ALIKE:
-        known = np.geomspace(known[0], known[-1], ALIKE)
-    f, middle = known[:, None], (np.arange(NODES) + 0.5) / NODES
+    """How much T of the expectations `mean` [m] is larger than the expectation of T, interpolated."""
+    logarithms, above = _table(size)
+    return np.asarray(np.interp(np.log(np.clip(mean, FEWEST, MOST)), logarithms, above), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _table(size: float) -> tuple[Array, Array]:
+    """The same at `KNOWN` expectations, with their logarithms."""
+    f, middle = np.geomspace(FEWEST, MOST, KNOWN)[:, None], (np.arange(NODES) + 0.5) / NODES
     counts = count_quantile(middle, f, f + f**2 / size)
-    above = _stabilised(known, size) - _stabilised(counts, size).mean(axis=1)
-    return np.asarray(np.interp(np.log(np.maximum(mean, FEWEST)), np.log(known), above), dtype=np.float64)
+    return np.log(f[:, 0]), _stabilised(f[:, 0], size) - _stabilised(counts, size).mean(axis=1)

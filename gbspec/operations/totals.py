@@ -27,6 +27,10 @@ def require_isolated(model: Model, values: Mapping[str, float]) -> None:
     zero = [name for name, value in values.items() if value == 0.0 and name in used]
     if not laws and zero and (without := _without(model, zero)) is not None:
         laws = linear_laws(without)
+        for name in list(zero):  # only those without which there would be no law
+            fewer = _without(model, [one for one in zero if one != name])
+            if laws and fewer is not None and (others := linear_laws(fewer)):
+                laws, zero = others, [one for one in zero if one != name]
         at = f" where {' and '.join(f'`{name}`' for name in zero)} {'are' if len(zero) > 1 else 'is'} zero"
     if not laws:
         return

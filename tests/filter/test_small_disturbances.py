@@ -60,3 +60,31 @@ def test_a_clear_disturbance_has_the_interval_of_its_curvature(tmp_path: Path) -
 
 def test_one_that_cannot_be_small_is_not_compared_with_none(tmp_path: Path) -> None:
     assert not said(fitted(tmp_path, 0.03, TEXT.replace("s = 0.3 in [0, 5]", "s = 0.3 in [0.02, 5]")))
+
+
+OFFSETS = """model offsets
+time t from 0
+state d in [-5, 5] = 0
+learn g = 1 in [-5, 5]
+learn b = 1 in [-5, 5] per trajectory
+learn s = 0.3 in [0.001, 5]
+d' = -2*d
+initial d = 0
+diffusion d = s
+observe y = g*t + b + d noise normal(0.15)
+"""
+
+
+def test_constants_of_trajectories_are_integrated_beside_one_that_shifts_readings(tmp_path: Path) -> None:
+    rng, lines = np.random.default_rng(22), ["trajectory,t,y"]
+    for i in range(16):
+        d, b = 0.0, rng.standard_normal()
+        for k in range(4):
+            if k:
+                d = d * np.exp(-0.8) + np.sqrt(0.18**2 / 4 * (1 - np.exp(-1.6))) * rng.standard_normal()
+            lines.append(f"{i},{0.4 * k:.4g},{0.4 * k + b + d + 0.15 * rng.standard_normal():.6g}")
+    model = model_in(tmp_path, OFFSETS)
+    (tmp_path / "d.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    run = train(model, read(tmp_path / "d.csv", model, Findings()), FAST, tmp_path / "run")
+    low, high = run.fit.constants["s"].interval or (np.nan, np.nan)
+    assert low < run.fit.constants["s"].value < high  # without them it ended at 0.166, below the estimate of 0.201

@@ -91,6 +91,7 @@ DECAY = "model m\ntime t\nstate x = 1\nlearn k = 1\nlearn r = 1\n{}\nobserve {}\
         ("x' = -k*x", "x noise lognormal(0.3)\ndose x", False),
         ("x' = if(t > 2, k, r)*x", "x noise lognormal(0.3)", False),
         ("x' = 0*k", "x noise poisson", True),
+        ("x' = -k*x", "x noise poisson", True),
         ("x' = k", "x noise poisson", False),
     ],
 )

@@ -80,9 +80,10 @@ class Restricted:
 
 def shifts(engine: FilterEngine) -> Integers:
     """The entries of constants, shared by all trajectories, that occur in channels alone, with normal noise, and shift
-    their readings by amounts that depend on no state and no other constant."""
+    their readings by amounts that depend on no state and no other constant; none in models with networks, events, doses
+    or algebraic variables."""
     model, parameters = engine.problem.model, engine.parameters
-    if model.events or model.doses or model.algebraics or model.constraints:
+    if parameters.n_weights or model.events or model.doses or model.algebraics or model.constraints:
         return np.zeros(0, dtype=np.int64)
     diffusions, starts = (one.value for one in model.diffusions), (state.initial.value for state in model.states)
     noises = [one.noise.value for one in model.channels if one.noise is not None]
@@ -138,7 +139,7 @@ def _of_constants(
     shifting = np.zeros(len(vector))
     shifting[shifts(engine)] = 1.0
     shifting *= engine.layout.free
-    if parameters.n_weights or not shifting.any():
+    if not shifting.any():
         return out
     covariance, shared = inverse(matrix, shifting, LEAST), np.arange(parameters.places.start, parameters.places.stop)
     for entry in shared[(engine.layout.free[shared] > 0) & (shifting[shared] == 0)]:

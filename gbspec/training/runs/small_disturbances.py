@@ -104,8 +104,10 @@ def without_disturbances(
     moving = engine.layout.free > 0
     moving[: parameters.n_weights] = moving[entries] = False
     moving &= ~engine.ended(vector, np.zeros(len(vector)))
-    shifting = np.isin(np.arange(len(vector)), shifts(engine))  # where some are, others are parameters of variances
-    others = np.flatnonzero(moving & shifting if (moving & shifting).any() else moving)
+    shifting = shifts(engine)
+    if moving[shifting].any():  # shared constants beside them are parameters of variances
+        moving[np.setdiff1d(np.arange(parameters.n_shared), shifting)] = False
+    others = np.flatnonzero(moving)
     for place in entries[entries < parameters.size]:
         learnable = model.learnables[parameters.shared[place - parameters.n_weights]]
         name, low = learnable.name, max(learnable.range.low, 0.0)

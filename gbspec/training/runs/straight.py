@@ -14,16 +14,16 @@ from gbspec.ir import Channel, Model, counted_channels, logarithmic
 
 def straight(model: Model) -> set[str]:
     """The names of the channels whose solutions (their logarithms, if the noise is log-normal) are straight lines in
-    time in each trajectory, by the model's balances; of counts, on the scale of their noise, only constant ones are."""
+    time in each trajectory, by the model's balances. Of counts the scale of their noise lies between roots and
+    logarithms: constant ones are straight on it, and exponential ones nearly."""
     if model.events or model.delays or model.doses or model.diffusions or model.algebraics or model.processes:
         return set()
     each = zip(model.channels, logarithmic(model), counted_channels(model), strict=True)
-    return {channel.name for channel, log, counted in each if _straight(model, channel, log, counted)}
+    return {channel.name for channel, log, counted in each if _straight(model, channel, log or counted)}
 
 
-def _straight(model: Model, channel: Channel, log: bool, counted: bool) -> bool:
-    """Whether the derivative of a channel by time, or of its logarithm, contains nothing that changes; of counts
-    whether it is 0."""
+def _straight(model: Model, channel: Channel, log: bool) -> bool:
+    """Whether the derivative of a channel by time, or of its logarithm, contains nothing that changes."""
     (value,) = model.inlined([channel.value])
     inputs = {one.symbol for one in model.inputs}
     rates = dict(zip((one.symbol for one in model.states), model.inlined(model.balances), strict=True))
@@ -35,6 +35,4 @@ def _straight(model: Model, channel: Channel, log: bool, counted: bool) -> bool:
     if slope.atoms(AppliedUndef):
         return False
     slope = sympy.expand_mul(slope / value if log else slope)
-    if counted:
-        return bool(slope == 0)
     return not slope.free_symbols & {*inputs, *rates, model.time.symbol}
