@@ -37,9 +37,11 @@ from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
 from .error_scale import OF_COUNTS as OF_COUNTS
+from .error_scale import OF_LOGARITHMS as OF_LOGARITHMS
 from .error_scale import ErrorScale as ErrorScale
 from .error_scale import error_scales as error_scales
 from .error_scale import on_error_scales as on_error_scales
+from .error_scale import said_of_scales as said_of_scales
 from .evaluated import informative_at_start as informative_at_start
 from .evaluated import named as named
 from .evaluated import right_sides as right_sides

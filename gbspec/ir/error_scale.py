@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-OF_COUNTS = "of counts on the scale of their noise"
-"""What a text says of R² on that scale."""
+OF_LOGARITHMS, OF_COUNTS = "of logarithms, as the noise is", "of counts on the scale of their noise"
+"""What a text says of R² on these scales."""
 NODES, KNOWN = 400, 160
 """Probabilities at which an expectation takes its counts; and so many expectations, between which others lie."""
 FEWEST, MOST = 1e-3, 1e4
@@ -57,6 +57,16 @@ class ErrorScale:
             with np.errstate(divide="ignore", invalid="ignore"):
                 return np.asarray(np.log(np.where(values <= 0, least, values)), dtype=np.float64)
         return values if self.size is None else _expected(values, self.size, number)
+
+    def errors(self, measured: Array, predicted: Array, number: Array) -> Array:
+        """Predictions minus averages of `number` measurements [...] on this scale, in units of those of one."""
+        return np.asarray(np.sqrt(number) * (self.predicted(predicted, number=number) - self.measured(measured)))
+
+
+def said_of_scales(what: str, logarithms: Sequence[str], counts: Sequence[str]) -> list[str]:
+    """Lines that name the channels of which `what` is of logarithms or of counts; none if there are none."""
+    each = ((logarithms, OF_LOGARITHMS), (counts, OF_COUNTS))
+    return [f"{what} of {', '.join(f'`{name}`' for name in names)}: {of}" for names, of in each if names]
 
 
 def error_scales(model: Model, constants: Mapping[str, float]) -> tuple[ErrorScale, ...]:

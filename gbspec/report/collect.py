@@ -229,8 +229,7 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     shown, number = [], np.concatenate([item.counts for item in present])
     for j, (channel, scale) in enumerate(zip(model.channels, fitted.run.fit.error_scales(model), strict=True)):
         if scale.size is not None:
-            off = scale.predicted(predicted[:, j], number=number[:, j]) - scale.measured(measured[:, j])
-            found[:, j] = np.sqrt(number[:, j]) * off
+            found[:, j] = scale.errors(measured[:, j], predicted[:, j], number[:, j])
         seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
         shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j]),
                                channel_unit(model, channel)))  # fmt: skip

@@ -334,12 +334,10 @@ def run_summary(run: Run) -> str:
 
 def _of_scales(run: Run) -> list[str]:
     """What is to be said of channels whose noise is that of logarithms, and of those that are counts."""
-    from gbspec.ir import OF_COUNTS, counted_channels, logarithmic
+    from gbspec.ir import counted_channels, logarithmic, said_of_scales
 
-    found = ((logarithmic(run.model), "of logarithms, as the noise is"), (counted_channels(run.model), OF_COUNTS))
-    each = [([f"`{c.name}`" for c, one in zip(run.model.channels, marked, strict=True) if one], of)
-            for marked, of in found]  # fmt: skip
-    return [f"R² of {', '.join(names)}: {of}" for names, of in each if names]
+    channels, kinds = run.model.channels, (logarithmic(run.model), counted_channels(run.model))
+    return said_of_scales("R²", *([c.name for c, one in zip(channels, marked, strict=True) if one] for marked in kinds))
 
 
 def _of_averages(members: Sequence[MemberRecord]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.frames import counted
-from gbspec.ir import OF_COUNTS
+from gbspec.ir import OF_COUNTS, OF_LOGARITHMS
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction
 from gbspec.report.text import number, profile_verdicts
@@ -120,7 +120,7 @@ def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) ->
         beside = (
             f"; without a model, {known[0].predictor or 'the best predictor'} reaches {naive[0]:.3g}" if naive else ""
         )
-        of = " of logarithms, as the noise is," if errors.logarithms else f" {OF_COUNTS}," if errors.counts else ""
+        of = f" {OF_LOGARITHMS}," if errors.logarithms else f" {OF_COUNTS}," if errors.counts else ""
         measured = f"R² {_share(errors.r2)}{of} over {counted(errors.n, 'value')}{beside}"
         how = _how(run, found, name)
         if how == "well":

@@ -22,7 +22,7 @@ import numpy as np
 from gbspec.arrays import Array, Mask
 from gbspec.data import FLAT, error_deviation
 from gbspec.files import finite
-from gbspec.ir import OF_COUNTS, ErrorScale
+from gbspec.ir import ErrorScale
 
 
 @dataclass(frozen=True)
@@ -157,11 +157,3 @@ def channel_errors(
     r2 = 1.0 - float(np.sum(error**2)) / total if varies else math.nan
     nrmse = float(np.sqrt(np.mean(error**2))) / error_deviation(measured[compared], scale)
     return ChannelErrors(n, rmse, nrmse, mae, r2, logarithms, left, counts)
-
-
-def said_of_scales(channels: Mapping[str, ChannelErrors], what: str) -> list[str]:
-    """Lines that name the channels of which `what` is of logarithms or of counts; none if there are none."""
-    logs = [f"`{name}`" for name, errors in channels.items() if errors.logarithms]
-    counts = [f"`{name}`" for name, errors in channels.items() if errors.counts]
-    found = ((logs, "of logarithms, as the noise is"), (counts, OF_COUNTS))
-    return [f"{what} of {', '.join(names)}: {of}" for names, of in found if names]

@@ -24,7 +24,7 @@ from gbspec.analysis.prediction import (
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.limits import LimitsKept, limits_kept
-from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, said_of_scales, share_text
+from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors, share_text
 from gbspec.analysis.validation.step_check import StepCheck, step_check, warning_of_other_data
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.analysis.validation.worst import WorstRow, worst_row
@@ -33,7 +33,7 @@ from gbspec.data import error_deviations, present_values, said_of_ranges, states
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.frames import Tabled, counted, of_rows
-from gbspec.ir import logarithmic, on_error_scales
+from gbspec.ir import logarithmic, on_error_scales, said_of_scales
 from gbspec.runs import encode
 
 if TYPE_CHECKING:
@@ -191,7 +191,9 @@ class Validation(Tabled):
 
     def _rest(self) -> list[str]:
         """The lines after the tables."""
-        lines = said_of_scales(self.channels, "nrmse and r2")
+        found = self.channels.items()
+        logarithms, counts = [n for n, one in found if one.logarithms], [n for n, one in found if one.counts]
+        lines = said_of_scales("nrmse and r2", logarithms, counts)
         lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.worst is not None:
             lines.append(str(self.worst))

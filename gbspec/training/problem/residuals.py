@@ -32,9 +32,7 @@ def judged_residuals(problem: Problem, predicted: Array, scales: Sequence[ErrorS
     for i, scale in enumerate(scales):
         seen = problem.valued[:, i]
         if scale.size is not None and seen.any():
-            weight = packed.weights[seen, i]
-            off = scale.predicted(predicted[seen, i], number=weight**2) - scale.measured(packed.values[seen, i])
-            out[seen, i] = weight * off
+            out[seen, i] = scale.errors(packed.values[seen, i], predicted[seen, i], packed.weights[seen, i] ** 2)
     return out
 
 
