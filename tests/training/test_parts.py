@@ -218,6 +218,19 @@ def test_refitted_starts_never_fit_worse() -> None:
     assert moved[parameters.n_shared] == 0.0, "a start that is given does not move"
 
 
+@pytest.mark.parametrize("declared", [" in [0, 5]", ""])
+def test_starts_that_nothing_measures_stay_in_their_declared_ranges(declared: str) -> None:
+    """`x` falls, which a positive `y` cannot explain while the balances are wrong."""
+    model = model_of(f"state x\nstate y{declared}\nlearn k = 1 in [0.5, 2]\nx' = k*y\ny' = -y\nobserve x\n")
+    times = np.linspace(0.01, 2.0, 200)
+    data = Trajectories((trajectory("1", 0.0, times, (1.0 - 3.0 * times)[:, None], []),), ("x",))
+    problem, parameters, theta = problem_of(model, data, 0.1, blend=0.0)
+    theta = parameters.with_starts(theta, np.full((1, 2), 0.1))
+    found = refit_starts(TorchEngine(problem, parameters), theta, 0)
+    start = parameters.starts(torch.from_numpy(found)).numpy()[0, 1]
+    assert 0 <= start <= 5 if declared else start < -1
+
+
 def test_stated_noise_sets_relative_weights() -> None:
     model = model_of(
         URP.replace("observe x1", "observe x1 noise normal(0.01)").replace("observe x2", "observe x2 noise normal(0.1)")

@@ -6,12 +6,14 @@ improved by Levenberg-Marquardt steps on the trajectories' own blocks, each with
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.ir import Model, Range
 from gbspec.training.engines import Engine, linearise, residual_table, residual_vector, taken
 from gbspec.training.optimise import LEAST_NOISE, Priors, huber_each, huber_weights, root_mean_square
 from gbspec.training.problem import Forcing, Integers, Packed, Parameters, Problem, typical
@@ -26,7 +28,8 @@ HUBER = 0.3
 def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, radius: float = 1.0) -> Array:
     """The vector with improved initial states: no trajectory's own loss over its first rows increases.
 
-    `radius` is the size of the box of candidates in units of the states' standard deviations.
+    `radius` is the size of the box of candidates in units of the states' standard deviations. Starts of states that no
+    channel measures stay in their declared ranges: the data may say next to nothing of them while functions are wrong.
     """
     parameters = engine.parameters
     if not parameters.start_free.any():
@@ -41,12 +44,28 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
     best, losses = theta, trajectory_losses(window, theta)
     starts = _starts(parameters, theta)
     width = parameters.start_free * parameters.start_scale * radius
+    low, high = _ranges(engine.problem.model, starts)
     points = np.random.default_rng([seed, 23]).uniform(-1, 1, (candidates, len(parameters.start_scale)))
     for fraction in (1.0, 0.25):
-        found = _best_candidates(window, best, starts, points * fraction, width)
+        tried = np.clip(starts[:, None] + width[:, None] * points * fraction, low[:, None], high[:, None])
+        found = _best_candidates(window, best, tried)
         best, losses = _keep_better(window, best, found, losses)
         starts = _starts(parameters, best)
-    return polish(window, best, losses)
+
+    def within(vector: Array) -> Array:
+        reached = _starts(parameters, vector)
+        inside = np.clip(reached, low, high)
+        return vector if np.array_equal(inside, reached) else parameters.with_starts(vector, inside)
+
+    return polish(window, best, losses, within=within)
+
+
+def _ranges(model: Model, starts: Array) -> tuple[Array, Array]:
+    """The least and largest initial states [N, n_states] that are tried: present ones are always among them."""
+    measured = {channel.state for channel in model.channels}
+    ranges = [Range() if i in measured else state.range or Range() for i, state in enumerate(model.states)]
+    low, high = (np.array(ends) for ends in zip(*((each.low, each.high) for each in ranges), strict=True))
+    return np.minimum(low, starts), np.maximum(high, starts)
 
 
 def first_rows(problem: Problem, count: int) -> Problem:
@@ -112,13 +131,12 @@ def trajectory_losses(engine: Engine, theta: Array) -> Array:
     return losses
 
 
-def _best_candidates(engine: Engine, theta: Array, starts: Array, points: Array, width: Array) -> Array:
-    """Each trajectory's best initial state among `starts + width * points` [N, n_states]."""
+def _best_candidates(engine: Engine, theta: Array, candidates: Array) -> Array:
+    """Each trajectory's best initial state [N, n_states] among `candidates` [N, count, n_states]."""
     parameters = engine.parameters
-    count, n = len(points), parameters.trajectories
+    n, count = candidates.shape[:2]
     index: Integers = np.repeat(np.arange(n, dtype=np.int64), count)
-    many = taken(engine, index)
-    tried = starts[index] + width[index] * np.tile(points, (n, 1))
+    many, tried = taken(engine, index), candidates.reshape(n * count, -1)
     vector = many.parameters.with_starts(parameters.take_vector(theta, index), tried)
     losses = trajectory_losses(many, vector).reshape(n, count)
     return np.asarray(tried.reshape(n, count, -1)[np.arange(n), losses.argmin(axis=1)], dtype=np.float64)
@@ -138,8 +156,15 @@ def keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple[
     return out, np.where(better, trial, losses)
 
 
-def polish(engine: Engine, theta: Array, losses: Array, steps: int = POLISH_STEPS) -> Array:
-    """The vector with the trajectories' blocks improved by damped steps, each block with its own damping."""
+def polish(
+    engine: Engine,
+    theta: Array,
+    losses: Array,
+    steps: int = POLISH_STEPS,
+    within: Callable[[Array], Array] = lambda vector: vector,
+) -> Array:
+    """The vector with the trajectories' blocks improved by damped steps, each block with its own damping; `within`
+    moves a vector back to what is allowed."""
     parameters = engine.parameters
     n, width = parameters.trajectories, parameters.n_local
     damping = np.full(n, 1e-2)
@@ -157,7 +182,7 @@ def polish(engine: Engine, theta: Array, losses: Array, steps: int = POLISH_STEP
         step = damped_steps(hessian, gradient, damping)
         trial = theta.copy()
         trial[parameters.n_shared :] += step.ravel()
-        theta, new = keep_blocks(engine, theta, trial, losses)
+        theta, new = keep_blocks(engine, theta, within(trial), losses)
         improved = new < losses
         damping = np.where(improved, damping / 5, damping * 4)
         if not (new < losses * (1 - 1e-6) - 1e-15).any() and (damping > 1e3).all():
