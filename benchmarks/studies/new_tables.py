@@ -46,6 +46,7 @@ PARTS = {
     "flexhouse": Part("flexhouse"),
     "flexhouse_heater": Part("flexhouse"),
     "tclab": Part("tclab", ("sine_5_1", "step_1"), linear=True),
+    "tclab_exchange": Part("tclab", ("sine_5_1", "step_1"), linear=True),
     "emps": Part("emps", ("estimation",)),
     "emps_known": Part("emps", ("estimation",)),
 }
