@@ -271,7 +271,7 @@ def _fits(mistake: Mistake, slip: Slip) -> bool:
 
 @cache
 def _pattern(text: str) -> re.Pattern[str]:
-    """A pattern of the table, with those of units in it (`%names%`, `%power%`)."""
+    """A pattern of the table, with those of units in it (`%names%`, `%power%`, `%bracketed%`)."""
     for name, part in _data()["units"].items():
         text = text.replace(f"%{name}%", part)
     return re.compile(text)
