@@ -20,6 +20,7 @@ from scipy.integrate import solve_ivp
 
 import gbspec
 from benchmarks.workload import Array
+from gbspec.analysis.systems.compiled import Compiled
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.methods import STIFF
@@ -118,11 +119,8 @@ Rates = Callable[[float, Array], Array]
 
 def rhs_of(module: Any) -> tuple[Rates, Rates]:
     """The right-hand side and its Jacobian, by casadi."""
-    rhs, jacobian = module.casadi_rhs(), module.casadi_jacobian()
-    return (
-        lambda t, x: np.array(rhs(t, x, [], [])).ravel(),
-        lambda t, x: np.array(jacobian(t, x, [], [])),
-    )
+    rhs, jacobian = Compiled(module.casadi_rhs()), Compiled(module.casadi_jacobian())
+    return lambda t, x: rhs(t, x, [], [])[0], lambda t, x: jacobian(t, x, [], [])[0]
 
 
 def solved(functions: tuple[Rates, Rates], starts: Array, times: Array) -> Array:

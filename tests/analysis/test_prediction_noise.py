@@ -40,7 +40,7 @@ def decays(starts: list[float], noise: float, seed: int, rates: list[float] | No
 def test_a_noise_that_depends_on_the_value_is_that_of_predictions(tmp_path: Path) -> None:
     more, noise = "learn b = 0.2 in [0.01, 1]", "normal(sqrt(0.01^2 + (b*y)^2))"
     model = model_of(DECAY.format(more=more, start="60", noise=noise))
-    run = train(model, decays([60.0] * 4, 0.1, 0), TrainOptions(), tmp_path / "run")
+    run = train(model, decays([60.0] * 4, 0.1, 0), TrainOptions(effort="low"), tmp_path / "run")
     (item,) = forecast(run, decays([60.0], 0.1, 9)).items
     share = item.sd[:, 0] / np.hypot(0.01, item.mean[:, 0])
     assert run.fit.constants["b"].value == pytest.approx(0.1, rel=0.3)
@@ -94,7 +94,7 @@ def test_the_noise_of_a_measured_first_value_is_part_of_a_prediction(tmp_path: P
         items = [trajectory(f"{label}{i}", 0.0, times, one[:, None], []) for i, one in enumerate(values)]
         return Trajectories(tuple(items), ("x",))
 
-    run = train(model, tanks(20, "old"), TrainOptions(), tmp_path / "run")
+    run = train(model, tanks(20, "old"), TrainOptions(effort="low"), tmp_path / "run")
     one = tanks(1, "new")
     replicated = Trajectories((replace(one.items[0], counts=4 * one.items[0].counts),), ("x",))
     for data, first in ((one, 0.1), (replicated, 0.05)):
@@ -106,7 +106,7 @@ def test_a_learned_initial_value_is_as_uncertain_as_its_constant(tmp_path: Path)
     """At the start a prediction is that constant, and its variance that of the noise and of the constant."""
     model = model_of(DECAY.format(more="learn a = 30 in [1, 100]", start="a", noise="normal(4)"))
     item = decays([50.0], 0.1, 3).items[0]
-    run = train(model, Trajectories((item,), ("x",)), TrainOptions(), tmp_path / "run")
+    run = train(model, Trajectories((item,), ("x",)), TrainOptions(effort="low"), tmp_path / "run")
     empty = {"values": np.array([[np.nan]]), "counts": np.zeros((1, 1)), "sd": np.array([[np.nan]])}
     new = Trajectories((replace(item, label="new", times=np.array([1e-6]), **empty),), ("x",))  # type: ignore[arg-type]  # arrays by name
     known = forecast(run, new).items[0].sd[0, 0]

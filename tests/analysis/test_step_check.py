@@ -75,7 +75,7 @@ def test_solutions_that_only_the_fixed_step_can_solve_are_reported(tmp_path: Pat
     (tmp_path / "blow.csv").write_text("trajectory,t,x\n" + "".join(f"{a},{t},{x!r}\n" for a, t, x in rows))
     found = Findings()
     data = tables.read_data(str(tmp_path / "blow.csv"), model, found)
-    run = fitting.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
+    run = fitting.train(model, data, tmp_path / "run", TrainOptions(effort="low", max_step=1.0, workers=1))
     assert run.fit.step_checks[0].unsolved == 2
     assert any("2 of 2 trajectories" in w and "but not by an adaptive solver" in w for w in run.fit.warnings)
 
@@ -119,7 +119,7 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
             said.append(text)
 
     points = [Point("long", {}, options(1.0)), Point("short", {}, options(0.1))]
-    fitting.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
+    fitting.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(effort="low", workers=1), Heard())
     assert len(open_run(tmp_path / "short").fit.step_checks) == 2
     assert [text.partition(":")[0] for text in said if "depends on its training step" in text] == ["long", "long"]
 
@@ -127,7 +127,7 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
 def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_path: Path) -> None:
     model = model_of(DECAY.replace("-lost", "-run*lost").replace("unknown", "learn run = 1 in [0.1, 3]\nunknown"))
     points = [Point("one", {}, replace(options(0.1), members=1))]
-    fitting.sweep(model, data, points, tmp_path, TrainOptions(workers=1))
+    fitting.sweep(model, data, points, tmp_path, TrainOptions(effort="low", workers=1))
     assert len(open_run(tmp_path / "one").fit.step_checks) == 1
 
 

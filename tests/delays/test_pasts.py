@@ -33,7 +33,7 @@ def test_a_past_that_was_not_constant_is_told(tmp_path: Path, known: bool) -> No
     ]
     path.write_text("t,z,x\n" + "\n".join(rows) + "\n")
     model.write_text(MODEL.format(history="history z = exp(-t)" if known else ""))
-    run = gbspec.train(model, path, tmp_path / "run", threads=1).run
+    run = gbspec.train(model, path, tmp_path / "run", effort="low", threads=1).run
     told = [text for text in run.fit.warnings if "within the first delay" in text]
     if known:
         assert not told

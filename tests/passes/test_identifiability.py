@@ -11,8 +11,8 @@ from gbspec.cli.commands.check import examination_summary
 from gbspec.diagnostics import Findings
 from gbspec.passes import Examination, examine
 from gbspec.passes.identifiability import Identifiability, by_one_trajectory, identifiability
-from gbspec.passes.identifiability.directions import absorbers, find
-from gbspec.passes.identifiability.question import pose
+from gbspec.passes.identifiability.directions import Directions, absorbers, find
+from gbspec.passes.identifiability.question import Question, pose
 from gbspec.passes.identifiability.report import BUDGET
 from gbspec.passes.identifiability.series import Effort
 from gbspec.passes.identifiability.undecided import Open
@@ -138,7 +138,11 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
 
 def answer(text: str, *, all_states: bool = False) -> tuple[int, set[str], set[str]]:
     problem = pose(model_of("model m\n" + text), all_states=all_states)
-    found = find(problem, Effort(2e9))
+    return told(problem, find(problem, Effort(2e9)))
+
+
+def told(problem: Question, found: Directions | Open) -> tuple[int, set[str], set[str]]:
+    """The number of directions, the constants in them, and the unknowns that absorb."""
     assert not isinstance(found, Open)
     names = [k.name for k in problem.sought]
     moving = {n for n, row in zip(names, found.basis, strict=True) if np.max(np.abs(row), initial=0) > 1e-6}
@@ -153,10 +157,17 @@ def test_known_answer(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FURTHER)
-def test_known_answer_with_branches_doses_and_inputs(name: str) -> None:
+def test_known_answer_with_branches_doses_and_inputs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     text, count, constants, unknowns, _ = FURTHER[name]
-    assert answer(text) == (count, constants, unknowns)
+    answers: list[tuple[Question, Directions | Open]] = []
+
+    def recorded(problem: Question, effort: Effort) -> Directions | Open:
+        answers.append((problem, find(problem, effort)))
+        return answers[-1][1]
+
+    monkeypatch.setattr("gbspec.passes.identifiability.report.find", recorded)
     assert identifiability(model_of("model m\n" + text), Findings(), budget=2e9).decided
+    assert told(*answers[1]) == (count, constants, unknowns), "the second question is that of the declared channels"
 
 
 @pytest.mark.parametrize("name", UNDECIDED)

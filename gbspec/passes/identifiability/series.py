@@ -10,15 +10,22 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import sympy
+from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
 from gbspec.ir import Expr, Lookup
 
 STEP = 4_000
 """What one product of a coefficient with a series costs beside its multiplications, in multiplications."""
+
+LARGE = 20_000
+"""Products of more numbers are faster where the coefficients of a monomial lie side by side in memory."""
+
+Places: TypeAlias = slice | NDArray[np.int64]
 
 
 class OutOfEffortError(Exception):
@@ -59,13 +66,13 @@ class Algebra:
         return {monomial: k for k, monomial in enumerate(self.monomials)}
 
     @cached_property
-    def _products(self) -> list[tuple[list[int], list[int]]]:
-        """For each monomial: the monomials that it can be multiplied with, and the products."""
+    def _products(self) -> list[tuple[Places, Places, int]]:
+        """For each monomial: the monomials that it can be multiplied with, the products, and how many they are."""
         table = []
         for i, j in self.monomials:
             pairs = [(k, self.index.get((i + a, j + b))) for k, (a, b) in enumerate(self.monomials)]
             kept = [(k, target) for k, target in pairs if target is not None]
-            table.append(([k for k, _ in kept], [target for _, target in kept]))
+            table.append((_places([k for k, _ in kept]), _places([target for _, target in kept]), len(kept)))
         return table
 
     @property
@@ -95,11 +102,14 @@ class Algebra:
     def times(self, a: Array, b: Array) -> Array:
         """The product; leading axes are broadcast."""
         result = self.zeros(np.broadcast_shapes(a.shape, b.shape))
-        for k, (source, target) in enumerate(self._products):
-            if np.any(a[..., k]):
-                self.effort.spend(STEP + result[..., 0].size * len(source))
-                result[..., target] += a[..., k : k + 1] * b[..., source]
-        return result
+        present = (a.reshape(-1, self.size) != 0).any(axis=0).nonzero()[0]
+        if len(present) > 1 and result.size > LARGE:
+            b, result = _by_monomial(b), _by_monomial(result)
+        for k in present:
+            source, target, count = self._products[k]
+            self.effort.spend(STEP + result[..., 0].size * count)
+            result[..., target] += a[..., k : k + 1] * b[..., source]
+        return np.ascontiguousarray(result)
 
     def compose(self, taylor: Array, a: Array) -> Array:
         """`sum_k taylor[..., k] z^k` for z the series without its constant term."""
@@ -271,3 +281,14 @@ class Evaluation:
         comparisons = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
         compare = comparisons.get(condition.rel_op, np.equal)
         return np.asarray(compare(left, right))
+
+
+def _places(numbers: list[int]) -> Places:
+    """Places along an axis: a slice, which copies nothing, where they follow one another."""
+    first, end = numbers[0], numbers[-1] + 1
+    return slice(first, end) if numbers == list(range(first, end)) else np.array(numbers)
+
+
+def _by_monomial(a: Array) -> Array:
+    """The same array, shape [..., L], with the coefficients of each monomial side by side in memory."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(a, -1, 0)), 0, -1)
