@@ -10,7 +10,8 @@ averages, 0 where nothing was measured. The scale of a channel is
   residuals are in units of the data's standard deviation and the stated noises determine the channels' relative
   weights. An entry with its own standard deviation has its own scale;
 - of counts: as without a stated noise, and in proportion to the root of the count (at least 1), which is about its
-  standard deviation, over the root of the mean of all;
+  standard deviation, over the root of the mean of all (fits compare counts on the scale of their noise instead, see
+  `gbspec.training.problem.scaling`);
 - with an estimated noise: as if it were stated. Where successive residuals follow one another, only a share of the
   channel's values counts: its scale is divided by the square root of this share.
 

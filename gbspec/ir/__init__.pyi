@@ -107,6 +107,7 @@ from .noises import NOISES as NOISES
 from .noises import WITH_DENSITY as WITH_DENSITY
 from .noises import NoiseForm as NoiseForm
 from .noises import NoiseKind as NoiseKind
+from .residual import COUNT_SHIFT as COUNT_SHIFT
 from .residual import LEAST_PREDICTED as LEAST_PREDICTED
 from .residual import LEAST_SIZE as LEAST_SIZE
 from .residual import LOG_FLOOR as LOG_FLOOR

@@ -24,16 +24,20 @@ Given = tuple[Problem, Parameters, Array]
 Make = Callable[[Problem, Parameters], Engine]
 ENGINES: dict[str, Make] = {"torch": torch_engine, "native": native_engine}
 LOGARITHMIC = URP.replace("observe x1", "observe x1 noise lognormal(0.1)")
+COUNTS = URP.replace("observe x1", "observe x1 noise negative_binomial(4)").replace(
+    "observe x2", "observe x2 noise poisson"
+)
 
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
 
-@pytest.fixture(scope="module", params=["everything", "reactor", "logarithmic"])
+@pytest.fixture(scope="module", params=["everything", "reactor", "logarithmic", "counts"])
 def given(request: pytest.FixtureRequest) -> Given:
     if request.param == "everything":
         return problem_of(model_of(EVERYTHING), everything_data(), 0.13, blend=0.3)
-    return problem_of(model_of(URP if request.param == "reactor" else LOGARITHMIC), urp_data(4, 2.0, 6), 0.2, blend=0.3)
+    text = {"reactor": URP, "logarithmic": LOGARITHMIC, "counts": COUNTS}[request.param]
+    return problem_of(model_of(text), urp_data(4, 2.0, 6), 0.2, blend=0.3)
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -77,7 +81,8 @@ def test_the_gradient_is_the_pullback_of_the_residuals(name: str, given: Given) 
     path = engine.plan(theta)
     value, gradient = half_squares(engine, theta)
     table, mean = residual_table(engine, theta), engine.moments(theta, path).mean
-    of_means = table * slopes(mean, problem.measured, problem.factor, problem.scaling.log)
+    scaling = problem.scaling
+    of_means = table * slopes(mean, problem.measured, problem.factor, scaling.log, sizes=scaling.sizes)
     assert value == pytest.approx(0.5 * float((table**2).sum()), rel=1e-12)
     expected = engine.pullback(theta, path, of_means)
     assert np.allclose(gradient, expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
@@ -150,14 +155,29 @@ def test_the_residual_is_what_its_formula_says() -> None:
     assert np.isfinite(residuals(p, y, f, log)).all(), "what was not measured does not matter"
 
 
-def test_the_graph_has_the_same_residuals_and_slopes() -> None:
+@pytest.mark.parametrize("sizes", [None, np.array([4.0, 0.0]), np.array([np.inf, 0.0])])
+def test_the_graph_has_the_same_residuals_and_slopes(sizes: Array | None) -> None:
     p, y, f, log = tables()
     vector = torch.from_numpy(p).requires_grad_()
-    out = residuals(vector, torch.from_numpy(y), torch.from_numpy(f), log, torch)
-    assert np.allclose(out.detach().numpy(), residuals(p, y, f, log), rtol=1e-14, atol=0)
+    out = residuals(vector, torch.from_numpy(y), torch.from_numpy(f), log, torch, sizes=sizes)
+    assert np.allclose(out.detach().numpy(), residuals(p, y, f, log, sizes=sizes), rtol=1e-14, atol=1e-16)
     (slope,) = torch.autograd.grad(out.sum(), vector)
-    away = np.abs(p / y - LOG_FLOOR) > 1e-9
-    assert np.allclose(slope.numpy()[away], slopes(p, y, f, log)[away], rtol=1e-12, atol=0)
+    away = (np.abs(p / y - LOG_FLOOR) > 1e-9) & ((p != 0) | (sizes is None))
+    assert np.allclose(slope.numpy()[away], slopes(p, y, f, log, sizes=sizes)[away], rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("size", [0.5, 4.0, np.inf])
+def test_residuals_of_counts_have_the_noise_of_one(size: float) -> None:
+    rng, mean = np.random.default_rng(0), np.array([5.0, 50.0, 500.0])
+    each = np.ones((40_000, 1)) if np.isinf(size) else rng.gamma(size, 1 / size, (40_000, 1))
+    drawn = rng.poisson(mean * each)
+    log, sizes = np.zeros(3, dtype=bool), np.full(3, size)
+    found = residuals(mean, drawn.astype(np.float64), np.ones(3), log, sizes=sizes)
+    assert found.std(axis=0) == pytest.approx(np.ones(3), abs=0.1 if size > 1 else 0.5)
+    assert (
+        np.diff(residuals(np.linspace(-50, 50, 999)[:, None], 20.0, np.ones(1), log[:1], sizes=sizes[:1])[:, 0]).min()
+        > 0
+    )
 
 
 def test_the_kernel_replaces_a_measured_zero_alike() -> None:

@@ -18,7 +18,7 @@ from gbspec.ir import count_quantile
 from gbspec.operations import evaluating, tables
 from gbspec.training import TrainOptions, train
 from gbspec.training.population import Counted, with_held
-from gbspec.training.population.counts import NegativeBinomial, Poisson, size_information
+from gbspec.training.population.counts import NegativeBinomial, Poisson, likeliest_size, size_information
 from gbspec.training.population.family import Family, Rows
 from gbspec.training.population.objective import Objective
 from gbspec.training.population.results import result_at
@@ -118,6 +118,31 @@ def test_the_information_of_many_values_is_interpolated() -> None:
     mean = np.geomspace(0.1, 1e4, 1000)
     found = size_information(mean, np.full(1000, 4.0))
     assert found[::100] == pytest.approx(size_information(mean[::100], np.full(10, 4.0)), rel=1e-4)
+
+
+@pytest.mark.parametrize("size", [0.4, 6.0])
+def test_the_likeliest_size_of_counts_of_known_expectation(size: float) -> None:
+    random, number = np.random.default_rng(2), np.array([1.0, 3.0] * 200)
+    mean = random.uniform(2, 300, 400)
+    counts = random.negative_binomial(size * number, size / (size + mean)).astype(float)
+    found = likeliest_size(counts / number, mean, number)
+
+    def minus_log(k: float) -> float:
+        return -float(nbinom.logpmf(counts, k * number, k / (k + mean)).sum())
+
+    assert minus_log(found) <= min(minus_log(found * factor) for factor in (0.99, 1.01))
+    assert found == pytest.approx(size, rel=0.25)
+    nothing = likeliest_size(counts, np.zeros(400), number)
+    assert np.isfinite(nothing) and nothing < 0.1, "counts where none are expected"
+
+
+def test_the_likelihood_begins_with_the_size_that_the_pooled_fit_shows(tmp_path: Path) -> None:
+    decay(tmp_path, 3.0)
+    text = DECAY.replace("k = 10 in [0.1, 1e4]", "k = 5e3 in [0.1, 1e4]")
+    model = model_of(text, tmp_path)
+    run = train(model, tables.read_data(tmp_path / "data.csv", model, Findings()), QUICK, tmp_path / "run")
+    begun = [float(row["k"]) for row in run.history() if row["stage"] == "search"][-1]
+    assert begun == pytest.approx(run.fit.constants["k"].value, rel=0.3)
 
 
 def test_residuals_and_draws_are_those_of_the_distribution() -> None:

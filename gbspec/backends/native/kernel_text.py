@@ -15,7 +15,7 @@ from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_
 from gbspec.backends.native.lookups import table_functions
 from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
-from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network, RosenbrockW, scheduled
+from gbspec.ir import COUNT_SHIFT, LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network, RosenbrockW, scheduled
 
 Precision = Literal["float64", "float32"]
 
@@ -175,6 +175,7 @@ def _numbers(
         "GIVEN": len(model.inputs) + len(model.delays),
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
         "LOG_FLOOR": LOG_FLOOR,
+        "COUNT_SHIFT": COUNT_SHIFT,
         "LEAST_SIZE": LEAST_SIZE,
     }
 

@@ -32,11 +32,25 @@ static double censored(double plain, int side, double level, double *slope) {
     return -side * level * root;
 }
 
+/* T of a count and its slope: the definition of gbspec/ir/residual.py. */
+static double stabilised(double value, double size, double *slope) {
+    const double below = value < 0 ? value : 0, shifted = value - below + COUNT_SHIFT;
+    *slope = 1 / sqrt(shifted * (1 + shifted / size));
+    const double root = sqrt(shifted), t = isfinite(size) ? sqrt(size) * asinh(root / sqrt(size)) : root;
+    return 2 * t + below * *slope;
+}
+
 /* The residual of a known value: the definition of gbspec/ir/residual.py; a test compares the two. */
 static double plain_residual(const Data *d, size_t row, int channel, double predicted, double *slope) {
     const double factor = d->factor[row * CHANNELS + channel], measured = d->measured[row * CHANNELS + channel];
     *slope = 0;
     if (!(factor > 0)) return 0;
+    if (d->sizes && d->sizes[channel] > 0) {
+        double unused;
+        const double found = stabilised(predicted, d->sizes[channel], slope) - stabilised(measured, d->sizes[channel], &unused);
+        *slope *= factor;
+        return found * factor;
+    }
     if (!d->logarithmic[channel]) {
         *slope = factor;
         return (predicted - measured) * factor;

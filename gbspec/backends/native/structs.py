@@ -87,6 +87,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _reals("begin", "trajectories", "their starts, for delays", optional=True),
         _reals("before", "trajectories, INPUTS", "inputs before these", optional=True),
         _places("logarithmic", "CHANNELS"),
+        _reals("sizes", "CHANNELS", "of counts with residuals on the scale of their noise, 0: none", optional=True),
         _places("side", "rows, CHANNELS", "of a limit that values lie on: -1, 1; 0: no limit", optional=True),
         _reals("level", "CHANNELS", "standard deviation of noise in units of residuals, 0: not known", optional=True),
         _reals(

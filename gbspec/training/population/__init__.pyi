@@ -19,6 +19,7 @@ from .objective import Objective as Objective
 from .objective import Point as Point
 from .pooled import Pooled as Pooled
 from .pooled import pooled_parameters as pooled_parameters
+from .pooled import pooled_vector as pooled_vector
 from .predictions import Individuals as Individuals
 from .predictions import Measured as Measured
 from .predictions import Predictions as Predictions

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
 from scipy.special import betainc, ndtri
 from torch import Tensor
 
@@ -31,6 +32,8 @@ SINGLE = 256
 NODES = 64
 FARTHEST = 12.0
 """The sum ends so many standard deviations, and as many units, above the mean."""
+LOGARITHMS = (-7.0, 14.0)
+"""The logarithms of a size that a fit begins with."""
 UNTOLD = 1e100
 """The variance of what tells nothing."""
 ALIKE = 400
@@ -184,3 +187,20 @@ def _size_information(mean: Array, k: float) -> Array:
             total[far] += (at * term(at - k, high) * weight).sum(axis=1) * (b - a) / 2
         total[far] += (term(begin + 0.5, high) - term(begin - 0.5, high))[:, 0] / 24
     return np.asarray(np.maximum(total - mean / (k * (k + mean)), 0.0), dtype=np.float64)
+
+
+def likeliest_size(counts: Array, mean: Array, number: Array) -> float:
+    """The size at which averages `counts` [m] of `number` [m] negative binomial counts with expectations `mean` [m] are
+    likeliest; a mean below 0 counts as none."""
+    known = np.isfinite(mean)
+    n = torch.from_numpy(number[known])
+    total, expected = (
+        torch.from_numpy(counts[known]) * n,
+        torch.clamp(torch.from_numpy(mean[known]), min=LEAST_COUNT) * n,
+    )
+
+    def minus_log(logarithm: float) -> float:
+        size = np.exp(logarithm) * n
+        return float(((size + total) * torch.log1p(expected / size) - _rising(total, size)).sum())
+
+    return float(np.exp(minimize_scalar(minus_log, bounds=LOGARITHMS, method="bounded").x))

@@ -17,11 +17,12 @@ import torch
 from sympy.core.function import AppliedUndef
 
 from gbspec.arrays import Array
-from gbspec.ir import Learnable, Model, Prior, Range
-from gbspec.training.engines import Engine, residual_table
+from gbspec.ir import Learnable, Model, Prior, Range, counted_channels
+from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import Outcome, Stage, State
+from gbspec.training.population.counts import likeliest_size
 from gbspec.training.population.layout import Layout
-from gbspec.training.problem import Bijection, Parameters
+from gbspec.training.problem import Bijection, Parameters, residuals_of
 
 INNER = "inner."
 NOTHING = 1e-9
@@ -80,6 +81,20 @@ def _held(learnable: Learnable, value: float) -> Learnable:
     return replace(learnable, range=Range(value - width, value + width), start=value, prior=None)
 
 
+def pooled_vector(whole: Parameters, own: Parameters, theta: Array) -> Array:
+    """The vector of the layout `own` of a pooled model for a population's one: medians over the trajectories."""
+    with torch.no_grad():
+        table = whole.constants(torch.from_numpy(theta)).numpy()[:, len(whole.model.constants) :]
+    values = np.median(table, axis=0)
+    medians = whole.medians(theta)
+    for i, learnable in enumerate(whole.model.learnables):
+        if learnable.distribution is not None:
+            values[i] = np.clip(values[i], own.model.learnables[i].range.low, own.model.learnables[i].range.high)
+            values[i] = values[i] if learnable.distribution.median else medians[learnable.name]
+    weights = {name: value.numpy() for name, value in whole.weights(torch.from_numpy(theta)).items()}
+    return own.vector(weights, values)
+
+
 class Pooled:
     """A stage of the pooled model as one of the population: its vector is `engine.parameters`' own.
 
@@ -112,18 +127,8 @@ class Pooled:
         return {f"{INNER}{name}": value for name, value in inner.items()} | {"theta": self.theta(inner["theta"], theta)}
 
     def vector(self, theta: Array) -> Array:
-        """The pooled vector for a population's one: medians over the trajectories."""
-        whole, own = self.parameters, self.engine.parameters
-        with torch.no_grad():
-            table = whole.constants(torch.from_numpy(theta)).numpy()[:, len(whole.model.constants) :]
-        values = np.median(table, axis=0)
-        medians = whole.medians(theta)
-        for i, learnable in enumerate(whole.model.learnables):
-            if learnable.distribution is not None:
-                values[i] = np.clip(values[i], own.model.learnables[i].range.low, own.model.learnables[i].range.high)
-                values[i] = values[i] if learnable.distribution.median else medians[learnable.name]
-        weights = {name: value.numpy() for name, value in whole.weights(torch.from_numpy(theta)).items()}
-        return own.vector(weights, values)
+        """The pooled vector for a population's one."""
+        return pooled_vector(self.parameters, self.engine.parameters, theta)
 
     def theta(self, pooled: Array, before: Array) -> Array:
         """The population's vector: medians and individuals at the pooled values, noises from the residuals."""
@@ -155,15 +160,22 @@ class Pooled:
         return out
 
     def _noises(self, pooled: Array) -> dict[str, float]:
-        """First values of noises that are one learned number, from the residuals of the pooled fit."""
+        """First values of noises, and of sizes of counts, that are one learned number, from the residuals of the pooled
+        fit."""
         model, problem = self.parameters.model, self.engine.problem
         found: dict[str, float] = {}
-        residuals = residual_table(self.engine, pooled)
+        predictions = predicted(self.engine, pooled).mean
+        residuals = residuals_of(problem, predictions)
         names = {k.name for k in self.layout.each}
         for i, channel in enumerate(model.channels):
-            value = channel.noise.value if channel.noise is not None else None
             rows = problem.valued[:, i]
-            if value is None or not value.is_Symbol or value.name not in names or not rows.any():
+            if channel.noise is None or not rows.any():
+                continue
+            shape, value = channel.noise.shape, channel.noise.value
+            if shape is not None and shape.is_Symbol and shape.name in names and counted_channels(model)[i]:
+                number = problem.packed.weights[rows, i] ** 2
+                found[shape.name] = likeliest_size(problem.packed.values[rows, i], predictions[rows, i], number)
+            if value is None or not value.is_Symbol or value.name not in names:
                 continue
             size = float(np.sqrt(np.mean(residuals[rows, i] ** 2))) * float(problem.scaling.channel[i])
             if np.isfinite(size) and size > 0:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir import METHODS, Censored, Model
+from gbspec.ir import METHODS, Censored, Model, slopes
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
 from gbspec.training.problem.mesh import Control
 from gbspec.training.problem.packing import Packed
@@ -91,8 +91,10 @@ class Problem:
         unit = self.scaling.row_scale
         if self.scaling.share is not None:
             unit = unit * np.sqrt(self.scaling.share)
-        mean = np.where(self.scaling.log & several, self.packed.values, 1.0)  # d log y = dy / y
-        squares = np.where(several, self.packed.scatter / (unit * mean) ** 2, 0.0)
+        # How much a measured value that moves by one moves on the scale of its residual: d log y = dy / y.
+        at = np.where(several, self.packed.values, 1.0)
+        moved = slopes(at, at, several.astype(np.float64), self.scaling.log, sizes=self.scaling.sizes)
+        squares = np.where(several, self.packed.scatter * (moved / unit) ** 2, 0.0)
         return squares.sum(axis=0), np.where(several, self.packed.weights**2 - 1.0, 0.0).sum(axis=0)
 
     def of_noise(self, residuals: Array) -> Array:

@@ -22,7 +22,7 @@ def residuals_of(problem: Problem, predicted: Array) -> Array:
     """Residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
     with np.errstate(over="ignore", invalid="ignore"):  # predictions of a solution that is not finite
         given = problem.measured, problem.factor, problem.scaling.log
-        return np.asarray(residuals(predicted, *given, censored=problem.censored))
+        return np.asarray(residuals(predicted, *given, censored=problem.censored, sizes=problem.scaling.sizes))
 
 
 def judged_residuals(problem: Problem, predicted: Array, scales: Sequence[ErrorScale]) -> Array:
@@ -39,7 +39,7 @@ def judged_residuals(problem: Problem, predicted: Array, scales: Sequence[ErrorS
 def residual_slopes(problem: Problem, predicted: Array) -> Array:
     """Derivatives of the residuals by the predictions [R, C]; 0 where nothing was measured."""
     given = problem.measured, problem.factor, problem.scaling.log
-    return np.asarray(slopes(predicted, *given, censored=problem.censored))
+    return np.asarray(slopes(predicted, *given, censored=problem.censored, sizes=problem.scaling.sizes))
 
 
 def measured_only(problem: Problem, table: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array, Mask
 from gbspec.data import Estimated, Trajectories, scales_of
-from gbspec.ir import Model
+from gbspec.ir import Model, error_scales
 from gbspec.training.problem.packing import Packed
 
 
@@ -19,7 +19,8 @@ class Scaling:
     `share` [C] is the share of each channel's values that count (None: all do): the scale is larger for it, so that
     residuals divided by its square root have the standard deviation of the noise.
     `noise` is the standard deviation of the noise in units of the residuals; None if a channel does not state its
-    noise. `levels` [C]: the same of each channel, 0 where it is not known (None: nowhere).
+    noise. `levels` [C]: the same of each channel, 0 where it is not known (None: nowhere). `sizes` [C]: of counts whose
+    residuals are on the scale of their noise, 0 of other channels (None: none are).
     """
 
     log: Mask
@@ -28,12 +29,29 @@ class Scaling:
     noise: float | None = None
     share: Array | None = None
     levels: Array | None = None
+    sizes: Array | None = None
 
 
 def scaling_of(model: Model, packed: Packed, trajectories: Trajectories, estimated: Estimated | None = None) -> Scaling:
-    """The scales for all trajectories of a fit, at the rows of a packing of these or of others."""
+    """The scales for all trajectories of a fit, at the rows of a packing of these or of others.
+
+    Counts are compared on the scale of their noise at the declared size, in units of the deviation of the data there:
+    least squares are then close to the likelihood, in which a prediction of next to none where there were many counts
+    is worse than any other.
+    """
     scales = scales_of(model, trajectories, estimated)
     share = None if estimated is None or (estimated.share == 1).all() else estimated.share
     values = np.where(packed.limits.side == 0, packed.values, packed.limits.value)
     rows = scales.of_rows(packed.sd, values, packed.weights**2)
-    return Scaling(scales.log, rows, scales.channel, scales.noise, share, scales.levels)
+    sizes = np.zeros(rows.shape[1])
+    for i, scale in enumerate(error_scales(model, {k.name: k.start for k in model.learnables})):
+        if scale.size is not None:
+            found = np.concatenate([scale.measured(item.values[:, i]) for item in trajectories.items])
+            sizes[i], rows[:, i] = scale.size, _deviation(found[np.isfinite(found)])
+    sizes_of_any = sizes if sizes.any() else None
+    return Scaling(scales.log, rows, scales.channel, scales.noise, share, scales.levels, sizes_of_any)
+
+
+def _deviation(values: Array) -> float:
+    """The standard deviation of values; 1 if all are the same."""
+    return (float(np.std(values)) if len(values) else 0.0) or 1.0

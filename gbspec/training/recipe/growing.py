@@ -38,7 +38,8 @@ INNER = "segments."
 class GrowingHorizons:
     """Fits segments of growing length by least squares, from one starting vector after the other.
 
-    The next starting vector is tried where whole solutions do not follow the data; in some attempts large residuals
+    The next starting vector is tried where whole solutions do not follow the data (their loss is not below `enough`, by
+    default a multiple of that of the shortest segments); in some attempts large residuals
     are limited in the first iterations with segments of each length, before least squares. Of the vectors reached with
     segments of any length the one with the smallest product of two losses, neither of them limited, is kept: of the
     shortest segments, and of whole solutions; where segments can only be beginnings, the one with the smallest loss of
@@ -49,11 +50,17 @@ class GrowingHorizons:
     name = StageName.HORIZONS.value
 
     def __init__(
-        self, context: Context, whole: Parameters, starts: Sequence[Array], effort: Effort, growth: float = GROWTH
+        self,
+        context: Context,
+        whole: Parameters,
+        starts: Sequence[Array],
+        effort: Effort,
+        growth: float = GROWTH,
+        enough: float | None = None,
     ) -> None:
         self.context, self.whole, self.starts = context, whole, list(starts)
         self.horizons = horizons(context, growth)
-        self.most = ITERATIONS[effort]
+        self.most, self.enough = ITERATIONS[effort], enough
         self.limiting = self.most // 2
         self.total = self.most * len(self.horizons) * len(self.starts)
         self._made: dict[int, Segments] = {}
@@ -112,7 +119,8 @@ class GrowingHorizons:
     def _after_attempt(self, state: State, outcome: Outcome, enough: bool = False) -> Outcome:
         """Goes on to the next attempt, or ends."""
         loss, attempt = scalar(state, "loss"), int(scalar(state, "attempt")) + 1
-        if enough or loss < max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) or attempt >= len(self.starts):
+        followed = max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) if self.enough is None else self.enough
+        if enough or loss < followed or attempt >= len(self.starts):
             return Outcome({"theta": state["best"]}, loss, True, "" if np.isfinite(loss) else BLOWN_UP)
         return Outcome({**state, **self._attempt(attempt)}, loss, False)
 
@@ -152,6 +160,14 @@ class GrowingHorizons:
         if horizon not in self._made:
             self._made[horizon] = Segments.of(self.context, self.whole, self.horizons[horizon])
         return self._made[horizon]
+
+
+def other_weights(context: Context, parameters: Parameters, theta: Array, number: int) -> Array:
+    """A vector of this layout with other random weights, those of a number."""
+    other = type(context.module).random(1000 * number + context.seed).weights
+    out = theta.copy()
+    out[: parameters.n_weights] = parameters.vector(other)[: parameters.n_weights]
+    return out
 
 
 def short_loss(context: Context, segments: Segments, theta: Array) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.ir import Model
 from gbspec.training.engines import Engine, residual_vector
 from gbspec.training.problem import Parameters, mean_loss, typical
@@ -29,6 +30,13 @@ FEW = 600
 def unmeasured(model: Model) -> bool:
     """Whether a state is not measured by a channel of its own: measured values then tell little of its rates."""
     return not set(range(len(model.states))) <= {channel.state for channel in model.channels}
+
+
+def largest_error(engine: Engine, theta: Array) -> float:
+    """The root mean square residual at a vector, of the channel in which it is largest."""
+    table, seen = noise_table(engine, theta), engine.problem.seen
+    losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
+    return float(np.sqrt(2 * max(losses, default=0.0))) if np.isfinite(losses).all() else float("inf")
 
 
 @dataclass(frozen=True)
@@ -63,9 +71,7 @@ class Judged:
         initial states that are fitted to the first rows of whole solutions."""
         engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
         theta = refit_starts(engine, reached.theta, self.context.seed) if refitted else reached.theta
-        table, seen = noise_table(engine, theta), engine.problem.seen
-        losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
-        return float(np.sqrt(2 * max(losses, default=0.0))) if np.isfinite(losses).all() else float("inf")
+        return largest_error(engine, theta)
 
     def astray(self, reached: Reached) -> bool:
         """Whether whole solutions are so far from the data that segments are needed to find them.

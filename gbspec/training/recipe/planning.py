@@ -21,7 +21,7 @@ from gbspec.training.recipe.cutting import cut_steps
 from gbspec.training.recipe.disturbed import disturbed_stage, other_maxima
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, continuing, finer_step
 from gbspec.training.recipe.further import Further
-from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons
+from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, other_weights
 from gbspec.training.recipe.judging import FEW, Judged, unmeasured
 from gbspec.training.recipe.known import SegmentsOfKnown, search_of_known, search_with_starts
 from gbspec.training.recipe.other_start import other_starts
@@ -379,10 +379,7 @@ class _Planner:
 
     def _random(self, theta: Array, number: int) -> Array:
         """The vector with other random weights."""
-        other = type(self.context.module).random(1000 * number + self.context.seed).weights
-        out = theta.copy()
-        out[: self.parameters.n_weights] = self.parameters.vector(other)[: self.parameters.n_weights]
-        return out
+        return other_weights(self.context, self.parameters, theta, number)
 
     def _from_warm_start(self) -> int:
         """The most iterations of whole solutions from the warm start: none unless data are few."""

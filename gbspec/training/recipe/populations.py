@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.engines import explain_failure
+from gbspec.training.engines import Engine, explain_failure, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, OtherMaxima, Stage
 from gbspec.training.population import (
     Exchanged,
@@ -24,14 +24,18 @@ from gbspec.training.population import (
     TimesOfJumps,
     modes_of,
     pooled_parameters,
+    pooled_vector,
     values_of,
 )
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Parameters, mean_loss
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.cutting import only_in_jumps
 from gbspec.training.recipe.finer import HALVINGS
+from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, other_weights
+from gbspec.training.recipe.judging import ASTRAY, largest_error
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
 from gbspec.training.recipe.rivals import JudgedSearch
+from gbspec.training.recipe.segments import horizons
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -43,6 +47,11 @@ MOVES = 0.2
 """It asks for one that would move a parameter by more than this many of its standard deviations."""
 SHOWS, SHOWS_WITH_NETWORKS = 0.02, 0.5
 """The step is halved where that changes -2 log likelihood by more than this."""
+
+
+TWICE = 2.0
+"""Whole solutions of counts follow the data with residuals of at most so many standard deviations of their noise."""
+_POOLED_FITS = StageName.POOLED, StageName.POOLED_AGAIN
 
 
 def marginal_objective(context: Context, parameters: Parameters, begun: Sequence[str]) -> Objective:
@@ -106,13 +115,50 @@ def stages(context: Context, parameters: Parameters, regular: Callable[[Reached]
         return Planned(name, total, least_squares)
 
     first = (
-        [fitted(name) for name in (StageName.FUNCTIONS, StageName.POOLED, StageName.POOLED_AGAIN)]
+        [
+            *(fitted(name) for name in (StageName.FUNCTIONS, StageName.POOLED, StageName.POOLED_AGAIN)),
+            *([] if context.model.distributed else [_segments(context, parameters)]),
+        ]
         if parameters.n_weights
         else [Planned(StageName.SEARCH, PATIENCE[patience].improved, search)]
     )
     finer = (likelihoods.finer(number) for number in range(1, HALVINGS[effort] + 1))
     around, near = likelihoods.jumps(near=False), likelihoods.jumps(near=True)
     return [*first, likelihoods.marginal(), around, likelihoods.other_maxima(), *finer, near, likelihoods.quadrature()]
+
+
+def _segments(context: Context, parameters: Parameters) -> Planned:
+    """Segments of growing length, where both pooled fits of a model without distributions leave whole solutions far
+    from the data: from the vectors of these, and from other random weights."""
+    pooled = pooled_parameters(parameters)
+    engine, parts = context.engine(pooled, 0.0), len(horizons(context))
+    effort, enough = context.options.effort, _noise_of_counts(engine)
+    most = len(_POOLED_FITS) + ATTEMPTS[effort]
+
+    def reached_by(reached: Reached) -> list[Array]:
+        marks = reached.marks
+        return [pooled_vector(parameters, pooled, marks[name]) for name in _POOLED_FITS if name in marks]
+
+    def astray(reached: Reached) -> bool:
+        if enough is None:
+            return all(largest_error(engine, vector) > ASTRAY for vector in reached_by(reached))
+        return all(mean_loss(residual_vector(engine, vector)) > enough for vector in reached_by(reached))
+
+    def make(reached: Reached) -> Stage:
+        declared = pooled.vector(context.module.weights)
+        others = [other_weights(context, pooled, declared, number + 1) for number in range(ATTEMPTS[effort])]
+        growing = GrowingHorizons(context, pooled, [*reached_by(reached), *others], effort, enough=enough)
+        return Pooled(growing, engine, parameters)
+
+    return Planned(StageName.HORIZONS, parts * most, make, astray, lambda reached: parts > 0)
+
+
+def _noise_of_counts(engine: Engine) -> float | None:
+    """The loss with `TWICE` the noise of counts, whose residuals know its size; None where other channels do not."""
+    problem = engine.problem
+    if problem.scaling.sizes is None or not (problem.scaling.sizes > 0).all():
+        return None
+    return 0.5 * TWICE**2 * float(np.mean(problem.scaling.row_scale[problem.seen] ** -2.0))
 
 
 def jumping(parameters: Parameters) -> list[int]:
@@ -135,7 +181,7 @@ class _Likelihoods:
 
         def make(reached: Reached) -> Stage:
             marks = reached.marks
-            elsewhere = (marks[StageName.POOLED],) if StageName.POOLED in marks else ()
+            elsewhere = tuple(marks[name] for name in _POOLED_FITS if name in marks)
             others = Starts(elsewhere, marks.get(StageName.FUNCTIONS))
             return self._maximised(StageName.MARGINAL, *reached.begun, others=others)
 

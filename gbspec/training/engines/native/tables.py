@@ -37,6 +37,7 @@ class Tables:
             "begin": packed.start if problem.model.delays else None,
             "before": packed.inputs_before if problem.model.delays else None,
             "logarithmic": problem.scaling.log.astype(np.int32),
+            "sizes": problem.scaling.sizes,
             "side": None if problem.censored is None else problem.censored.side.astype(np.int32),
             "level": None if problem.censored is None else problem.censored.level.astype(np.float64),
             **_arrivals(problem.model, path),

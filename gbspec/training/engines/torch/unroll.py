@@ -139,5 +139,6 @@ class Motion:
 def graph_residuals(problem: Problem, mean: Tensor) -> Tensor:
     """Residuals [R, C] of predicted channels [R, C], differentiable in them; 0 where nothing was measured."""
     tables = mean.new_tensor(problem.measured), mean.new_tensor(problem.factor)
-    found: Tensor = residuals(mean, *tables, problem.scaling.log, torch, problem.censored)
+    scaling = problem.scaling
+    found: Tensor = residuals(mean, *tables, scaling.log, torch, problem.censored, scaling.sizes)
     return found
