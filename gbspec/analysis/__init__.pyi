@@ -51,6 +51,7 @@ from .systems.roots import ordered_eigenvalues as ordered_eigenvalues
 from .systems.system import Box as Box
 from .systems.system import System as System
 from .systems.system import system_of as system_of
+from .validation.dominated import said_of_single_rows as said_of_single_rows
 from .validation.metrics import ChannelErrors as ChannelErrors
 from .validation.metrics import channel_errors as channel_errors
 from .validation.metrics import share_text as share_text

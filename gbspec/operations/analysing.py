@@ -228,8 +228,8 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
 
     one = run.best if member == "mean" else member
     filtered = filter_run(run, data, one)
-    (ahead, worst), steps = errors_ahead(run, data, filtered), check_steps(run, data, one, filtered)
-    said = (steps.warning,) if steps.warning else ()
+    (ahead, worst, single), steps = errors_ahead(run, data, filtered), check_steps(run, data, one, filtered)
+    said = (*single, *((steps.warning,) if steps.warning else ()))
     return replace(found, ahead=ahead, worst=worst or found.worst, step_check=steps, warnings=(*found.warnings, *said))
 
 

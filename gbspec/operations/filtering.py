@@ -27,22 +27,24 @@ LACKING = (
 
 def errors_ahead(
     run: Run, data: Trajectories, filtered: FilteredRun
-) -> tuple[dict[str, dict[str, ChannelErrors]], WorstRow | None]:
-    """The errors of predictions by the number of rows that they are ahead, and by channel, and the worst row of those
-    one row ahead; of the filter of one member."""
-    from gbspec.analysis import channel_errors, worst_ahead
+) -> tuple[dict[str, dict[str, ChannelErrors]], WorstRow | None, list[str]]:
+    """The errors of predictions by the number of rows that they are ahead, and by channel, the worst row of those one
+    row ahead, and what is said of single rows that have most of these errors; of the filter of one member."""
+    from gbspec.analysis import channel_errors, said_of_single_rows, worst_ahead
 
     if not filtered.finite:
-        return {}, None
+        return {}, None, []
     measured = np.concatenate([item.values[item.times >= item.start] for item in data.items])
-    out, scales = {}, run.fit.error_scales(run.model)
+    out, said, scales = {}, list[str](), run.fit.error_scales(run.model)
+    spreads = [one.channel_sd for one in filtered.one_ahead()]
     for name, steps in STEPS.items():
-        found = np.concatenate(filtered.ahead(steps))
+        each = filtered.ahead(steps)
+        found = np.concatenate(each)
         out[name] = {
             c.name: channel_errors(measured[:, j], found[:, j], scales[j]) for j, c in enumerate(run.model.channels)
         }
-    spreads = (one.channel_sd for one in filtered.one_ahead())
-    return out, worst_ahead(run, data, 1, list(zip(filtered.ahead(1), spreads, strict=True)))
+        said += said_of_single_rows(run, data, name, each, spreads if steps == 1 else None)
+    return out, worst_ahead(run, data, 1, list(zip(filtered.ahead(1), spreads, strict=True))), said
 
 
 def check_steps(run: Run, data: Trajectories, member: int, filtered: FilteredRun | None = None) -> StepCheck:

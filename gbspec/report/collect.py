@@ -144,16 +144,23 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
         reference = None if true is None else true[1][:, j]
         unit = channel_unit(model, channel)
         shown.append(ChannelFit(channel.name, item.times[measured], item.values[measured, j], grid, channels[:, :, j],
-                                reference, unit, _limits(item, j, -1), _limits(item, j, 1)))  # fmt: skip
+                                reference, unit, _limits(item, j, -1), _limits(item, j, 1),
+                                solution_label(model)))  # fmt: skip
     for i, state in enumerate(model.states):
         if hidden and all(channel.state != i for channel in model.channels):
             reference, nothing = None if true is None else true[0][:, i], np.zeros(0)
-            shown.append(ChannelFit(state.name, nothing, nothing, grid, states[:, :, i], reference, state.unit or ""))
+            shown.append(ChannelFit(state.name, nothing, nothing, grid, states[:, :, i], reference, state.unit or "",
+                                    solution=solution_label(model)))  # fmt: skip
     # What the model gives was not learned, whatever the rest of the run was
     known = all(state.initial.known for state in model.states)
     origin = "given by the model" if known else fitted.start(0, index).origin
     return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), origin, _given(model, item),
                          _own_text(fitted.run, item.label))  # fmt: skip
+
+
+def solution_label(model: Model) -> str:
+    """What whole solutions are: with random disturbances they are not what the model expects of the measured rows."""
+    return "solution without disturbances" if model.diffusions else "model"
 
 
 def _limits(item: Trajectory, channel: int, side: int) -> Array | None:
@@ -215,8 +222,9 @@ def _given_value(condition: Condition, value: float) -> str:
 
 
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
-    """The residuals of the training objective for the mean of the members, at every measurement; of counts those on the
-    scale of their noise."""
+    """The residuals of whole solutions for the mean of the members, at every measurement, as the training objective has
+    them (with random disturbances it has innovations in place of these); of counts those on the scale of their
+    noise."""
     model, data = fitted.model, fitted.data
     scales = fitted.scales
     times = np.concatenate([item.times for item in data.items])
@@ -232,7 +240,7 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
             found[:, j] = scale.errors(measured[:, j], predicted[:, j], number[:, j])
         seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
         shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j]),
-                               channel_unit(model, channel)))  # fmt: skip
+                               channel_unit(model, channel), solution_label(model)))  # fmt: skip
     return tuple(shown)
 
 

@@ -14,7 +14,7 @@ class ChannelFit:
 
     Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one per member of
     the ensemble (their mean is drawn, their range shaded), and the `truth` [G] if there is one. Censored values are
-    `below` and `above` limits: times and limits [2, L], None without any.
+    `below` and `above` limits: times and limits [2, L], None without any. `solution`: what the curves are.
     """
 
     name: str
@@ -26,6 +26,7 @@ class ChannelFit:
     unit: str = ""
     below: Array | None = None
     above: Array | None = None
+    solution: str = "model"
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,8 @@ class History:
 class Residuals:
     """The residuals [N] of one channel (see `gbspec.ir.residual`) at `times` [N] of all trajectories.
 
-    `predicted` [N] are the values there in the channel's unit; `logarithmic`: the residuals are of logarithms.
+    `predicted` [N] are the values there in the channel's unit; `logarithmic`: the residuals are of logarithms;
+    `solution`: what predicts.
     """
 
     name: str
@@ -170,6 +172,7 @@ class Residuals:
     residual: Array
     logarithmic: bool = False
     unit: str = ""
+    solution: str = "model"
 
 
 @dataclass(frozen=True)

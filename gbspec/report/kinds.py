@@ -59,7 +59,8 @@ KINDS = (
         f"{_HERE}.fit",
         heading="Data and fit",
         note="Solutions from the initial states, by an adaptive solver; below what is measured: states that are not, "
-        "inputs and doses. Measurements are dots; the truth is dashed; the shaded band is the range of the members.",
+        "inputs and doses. Measurements are dots; the truth is dashed; the shaded band is the range of the members. "
+        "Solutions of a model with random disturbances are those without them, which lead measurements away.",
     ),
     Kind(
         "functions",
@@ -94,7 +95,8 @@ KINDS = (
         f"{_HERE}.residuals",
         heading="Residuals",
         note="Predicted minus measured, or the logarithm of their ratio under log-normal noise, in the "
-        "units that the fit uses.",
+        "units that the fit uses. Of a model with random disturbances they are those of its solution without them; its "
+        "fit minimises innovations.",
         also=("residual",),
     ),
     Kind(

@@ -27,7 +27,8 @@ EXACT = 1e-6
 """A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
 NOT_INDEPENDENT = (
     "are not independent: what disturbs the system lasts longer than the time between two measurements, or the model "
-    "lacks something. Intervals are too narrow then, and predictions of many rows poor"
+    "lacks something. Intervals of constants take them for independent and may be too narrow, and predictions of many "
+    "rows are poor then"
 )
 """What is said of innovations by the fit, and by predictions."""
 

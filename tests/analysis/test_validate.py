@@ -95,7 +95,7 @@ def test_rows_far_from_the_training_data_are_told(
 def test_what_is_told_has_the_right_number() -> None:
     def said(*counts: dict[str, int]) -> list[str]:
         errors = [TrajectoryError(str(i), 0.1, "estimated", "", each) for i, each in enumerate(counts)]
-        return _data_warnings(errors, "initial states")
+        return _data_warnings(errors, model_of("urp_gb2"))
 
     far, estimated = said({"f": 1})
     assert far == "`f` is extrapolated, far from its training data, in 1 row (`0`)"

@@ -318,6 +318,19 @@ def test_the_innovations_are_drawn(fitted: tuple[Run, Trajectories]) -> None:
     assert len(innovations.build(Source(run, data)).rows[0][0].rows[0].panels) == 3
 
 
+def test_figures_say_that_their_solutions_are_without_disturbances(fitted: tuple[Run, Trajectories]) -> None:
+    from gbspec.report.description import Line
+    from gbspec.report.figures import fit, residuals
+    from gbspec.report.source import Source
+
+    source = Source(*fitted)
+    (panel,) = fit.build(source).rows[0][0].rows[0].panels
+    assert panel is not None
+    assert "solution without disturbances" in [mark.label for mark in panel.marks if isinstance(mark, Line)]
+    titles = [one.title for one in residuals.build(source).rows[0][0].rows[0].panels if one is not None]
+    assert "of the solution without disturbances" in titles
+
+
 RELAXING = """model relaxing
 time t
 state X in [-5, 5] = 3

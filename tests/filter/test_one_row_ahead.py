@@ -137,6 +137,37 @@ def test_rows_before_the_first_measured_one_do_not_count(tmp_path: Path) -> None
     assert found.ahead["1"]["x"].rmse == pytest.approx(run.fit.members[0].rmse["x"], rel=1e-3)
 
 
+SLOPE = """model slope
+time t
+state x in [-10, 200]
+state d in [-20, 20]
+state e in [-0.1, 0.1]
+learn s = 0.1 in [0.001, 20]
+x' = d + e
+d' = 0
+e' = -e
+diffusion x = s
+observe x noise normal(0.05)
+"""
+
+
+def test_a_row_that_has_most_of_the_errors_is_told_and_counts(tmp_path: Path) -> None:
+    """Before the second row nothing shows the slope; the errors further on are those of the noise."""
+    rng = np.random.default_rng(1)
+    line = 3 * np.arange(40.0) + 0.05 * rng.standard_normal((2, 40))
+    run, _ = fitted(tmp_path, SLOPE, ["t,x", *(f"{t},{x:.6f}" for t, x in enumerate(line[0]))])
+    (tmp_path / "new.csv").write_text("\n".join(["t,x", *(f"{t},{x:.6f}" for t, x in enumerate(line[1]))]) + "\n")
+    new = read(tmp_path / "new.csv", run.model, Findings())
+    found = validate(run, new)
+    assert found.ahead["1"]["x"].n == 39 and found.ahead["1"]["x"].rmse > 0.4
+    one, ten = (text for text in found.warnings if text.startswith("one row has"))
+    assert "`x` 1 row ahead: t = 1, measured row 2 of trajectory" in one and "an uncertain one" in one
+    assert "`x` 10 rows ahead: t = 10, measured row 11 of trajectory" in ten
+    assert float(one.rsplit(" ", 1)[1]) < 0.2
+    (said,) = [text for text in found.warnings if "were estimated" in text]
+    assert "the errors of solutions from the start alone" in said and "a first guess of the start" in said
+
+
 def test_a_prediction_one_row_ahead_uses_no_value_of_its_own_row(tmp_path: Path) -> None:
     """Innovations are given the earlier channels of their row; these errors are not, under log-normal noise too."""
     engine, vector = engine_of(tmp_path, BENT, table("X V y"))

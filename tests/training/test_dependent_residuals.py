@@ -105,6 +105,7 @@ def test_innovations_that_only_their_correlation_shows_are_told_with_it() -> Non
     likelihood = LikelihoodRecord("l", 1.0, 3, 139, 1.0, 1.0, {}, {"x": white})
     (text,) = innovations({"x": ChannelRecord(0.9, 0.0, autocorrelation=0.435, pairs=138)}, likelihood)
     assert "`x` (correlation 0.435 with the next row's) are not independent" in text and "probability" not in text
+    assert "may be too narrow" in text and "interval of a mean would have to be 1.6 times as wide" in text
 
 
 @pytest.mark.parametrize(

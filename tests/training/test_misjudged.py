@@ -17,7 +17,7 @@ from gbspec.runs import ConstantRecord, FitRecord, OwnRecord
 from gbspec.training.population import Objective, PopulationResult, result_at
 from gbspec.training.problem import Parameters
 from gbspec.training.runs import misjudged, misjudged_own, populations
-from gbspec.training.runs.constants import undetermined_own
+from gbspec.training.runs.constants import undetermined, undetermined_own
 from gbspec.training.runs.deviance import held_by_data
 from gbspec.training.runs.misjudged import misjudged_of_population
 from gbspec.training.runs.summary import MemberResult
@@ -271,3 +271,46 @@ def test_a_range_whose_ends_are_less_than_two_decades_apart_is_walked_too(tmp_pa
 
     found = held_by_data(learnable, 0.07, rise, 2.7)
     assert found is not None and max(found.worse) < 0.2
+
+
+LAGGED = """\
+model lagged
+time t
+input T held
+state Te in [-10, 40]
+learn tau = 1 in [0.1, 20]
+unknown use(Te) by spline(6)
+Te' = (T - Te)/tau
+observe y = use
+"""
+
+
+def following(path: Path) -> Path:
+    """A quantity that follows the temperature of the row before: a lag shorter than the time between rows."""
+    random, before, now, lines = np.random.default_rng(0), 15.0, 15.0, ["t,T,y"]
+    for k in range(120):
+        now = 15 + 0.6 * (now - 15) + 6 * random.standard_normal()
+        lines.append(f"{k},{now:.3f},{0.02 * (before - 15) ** 2 + 2 * random.standard_normal():.4f}")
+        before = now
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_constant_beside_an_unknown_function_that_the_data_hold_is_not_called_undetermined(tmp_path: Path) -> None:
+    """Near its lower bound the solution no longer depends on it, so that the curvature leaves it open to 20."""
+    (tmp_path / "m.gb").write_text(LAGGED)
+    data = following(tmp_path / "d.csv")
+    fit = gbspec.load(tmp_path / "m.gb").train(data, tmp_path / "run", effort="low").run.fit
+    assert fit.constants["tau"].value < 0.3
+    assert not any("not determined" in text for text in fit.warnings), fit.warnings
+    assert any("`tau` has no interval: the curvature" in text for text in fit.warnings), fit.warnings
+
+
+def test_a_constant_that_only_the_curvature_leaves_open_is_not_called_undetermined(tmp_path: Path) -> None:
+    (tmp_path / "m.gb").write_text("model m\nstate x = 1\nlearn k = 1 in [0.1, 20]\nx' = -k*x\nobserve x\n")
+    model = gbspec.load(tmp_path / "m.gb").model
+    known = {"k": ConstantRecord(0.12, 0.6, (0.1, 20.0), 1.0, (0.12,))}
+    (said,) = undetermined(model, known)
+    assert "`k` is not determined by these data" in said
+    (said,) = undetermined(model, known, untested=frozenset("k"))
+    assert "whether the data do is not known: `gbspec profile` tells" in said and "not determined" not in said

@@ -251,10 +251,9 @@ def validate(
         # With disturbances the step is the filter's, which does not solve from the start.
         if not run.model.diffusions:
             check = step_check(evaluators[0], run.model, step, trajectories.items, each[0])
-        own = any(k.per_trajectory for k in run.model.learnables)
         warnings += [*said_of_defaults(run, trajectories.items), *said_of_restarts(run, trajectories)]
         warnings += _without_logarithm(run.model, present, predicted)
-        warnings += _data_warnings(errors, "own constants and unknown initial states" if own else "initial states")
+        warnings += _data_warnings(errors, run.model)
         warnings += [] if run.model.diffusions else _of_starts(run, present, predicted)
         warnings += said_of_groups(members[0], run.model, trajectories.items, predicted)
         solved = [one.states for one in predicted if not one.failure]
@@ -322,7 +321,7 @@ def _without_logarithm(model: Model, trajectories: Trajectories, predictions: Se
     ]
 
 
-def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:
+def _data_warnings(errors: Sequence[TrajectoryError], model: Model) -> list[str]:
     warnings = [
         f"trajectory `{one.trajectory}` could not be solved and is excluded from all errors: {one.failure}"
         for one in errors
@@ -339,9 +338,14 @@ def _data_warnings(errors: Sequence[TrajectoryError], what: str) -> list[str]:
     if estimated:
         listed = ", ".join(f"`{label}`" for label in estimated[:5]) + (", ..." if len(estimated) > 5 else "")
         number = counted(len(estimated), "trajectory")
+        own = any(k.per_trajectory for k in model.learnables)
+        what, which, rest = "own constants and unknown initial states" if own else "initial states", "the errors", ""
+        if model.diffusions and not own and not any(state.initial.kind == "learned" for state in model.states):
+            which = "the errors of solutions from the start alone, and those `all` rows ahead,"
+            rest = "; those 1 and 10 rows ahead have a first guess of the start from these, which counts in early rows"
         warnings.append(
             f"the {what} of {number} that training did not see ({listed}) were estimated from the same "
-            "measurements that the errors are computed from"
+            f"measurements that {which} are computed from{rest}"
         )
     return warnings
 

@@ -78,7 +78,7 @@ def block(trajectory: TrajectoryFit, time: str = "t", unit: str = "", *, page: b
 
 def panel(channel: ChannelFit, axis: Axis, *, legend: bool = False, height: float = 1.9) -> Panel:
     """One channel, or state, of one trajectory."""
-    marks: list[Mark] = [*ensemble(channel.grid, channel.members, "model")]
+    marks: list[Mark] = [*ensemble(channel.grid, channel.members, channel.solution)]
     if channel.truth is not None:
         marks.append(true_solution(channel.grid, channel.truth))
     if channel.below is not None:

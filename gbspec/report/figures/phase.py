@@ -19,15 +19,17 @@ def build(source: Source) -> Figure:
         raise MissingError("the model has only one state", "fit")
     orbits = collect.orbits(source.fitted, source.some(IN_FILE, ON_PAGE), (0, 1))
     first, second = source.run.model.states[:2]
-    return figure(orbits, Axis(first.name, first.unit or ""), Axis(second.name, second.unit or ""))
+    axes = Axis(first.name, first.unit or ""), Axis(second.name, second.unit or "")
+    return figure(orbits, *axes, collect.solution_label(source.run.model))
 
 
-def figure(orbits: Sequence[Orbit], x: Axis, y: Axis) -> Figure:
-    """Trajectories of the model with dots at their initial states, the truth dashed, joint measurements as points."""
+def figure(orbits: Sequence[Orbit], x: Axis, y: Axis, solution: str = "model") -> Figure:
+    """Trajectories of the model with dots at their initial states, the truth dashed, joint measurements as points;
+    `solution`: what the trajectories are."""
     marks: list[Mark] = []
     for orbit in orbits:
         path, words = orbit.learned, (f"trajectory {orbit.label}",)
-        marks.append(Line(path[:, 0], path[:, 1], "model", width=1.2, alpha=0.85, hover=words * len(path)))
+        marks.append(Line(path[:, 0], path[:, 1], solution, width=1.2, alpha=0.85, hover=words * len(path)))
         marks.append(Points(path[:1, 0], path[:1, 1], size=3.5, layer=4, hover=words))
         if orbit.truth is not None:
             marks.append(true_solution(orbit.truth[:, 0], orbit.truth[:, 1]))

@@ -32,7 +32,8 @@ def _row(channel: Residuals, time: Axis) -> Row:
     y = Axis(f"scaled residual of {'ln ' if channel.logarithmic else ''}{channel.name}")
     counts, edges = np.histogram(values, bins=max(5, min(40, int(math.sqrt(max(len(values), 1))))))
     predicted = Axis(f"predicted {channel.name}", channel.unit)
-    titles = (f"{channel.name}: {counted(len(values), 'value')}, rms {rms:.2g}", "")
+    of = f"of the {channel.solution}" if channel.solution != "model" else ""  # another one than the fit minimises
+    titles = (f"{channel.name}: {counted(len(values), 'value')}, rms {rms:.2g}", of)
     panels = [
         Panel((Rule("y", 0.0), Points(x, values, "residual", LEARNED, 2.8, alpha=0.5, layer=3)), axis, y, title,
               width=3.84, height=2.15)

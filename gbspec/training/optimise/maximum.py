@@ -6,7 +6,7 @@ more constants were estimated, so that -2 log likelihood at them is above its mi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,11 +29,13 @@ the model has exactly."""
 
 @dataclass(frozen=True)
 class Likeliest:
-    """A vector [size] with the filter there, and its negative log likelihood with the priors of constants."""
+    """A vector [size] with the filter there, its negative log likelihood with the priors of constants, and by how much
+    a next step would lower it, at least before the last one; infinite where none was computed."""
 
     vector: Array
     found: Filtered
     value: float
+    promised: float = float("inf")
 
     @property
     def compared(self) -> float:
@@ -50,7 +52,7 @@ def likeliest(
     priors = _priors(engine)
     start = engine.filtered(vector) if found is None else found
     now = Likeliest(vector, start, start.value + priors.penalty(vector[: parameters.size]))
-    damping = FIRST
+    damping, promised = FIRST, float("inf")
     for _ in range(steps if start.finite else 0):
         gradient, matrix = _with_priors(engine, priors, now)
         moving = np.where(np.diag(matrix) > 10 * FLAT, engine.layout.free, 0.0)
@@ -58,7 +60,8 @@ def likeliest(
         if held is not None:
             moving[held] = 0.0
         undamped = inverse(matrix, moving, LEAST) @ gradient
-        if not 0.5 * float(undamped @ gradient) > ENOUGH:
+        promised = 0.5 * float(undamped @ gradient)
+        if not promised > ENOUGH:
             break
         for _ in range(DAMPINGS):
             damped = matrix + damping * np.diag(np.diag(matrix))
@@ -72,7 +75,7 @@ def likeliest(
         else:
             break
         now, damping = Likeliest(trial, there, value), damping / STRONGER
-    return now
+    return replace(now, promised=promised)
 
 
 def restricted_value(engine: FilterEngine, point: Likeliest, others: Integers) -> float:

@@ -47,8 +47,10 @@ def constant_record(
     center, sd, interval = _estimate(learnable, values, within, half_width(results))
     by_likelihood = [r.intervals[learnable.name] for r in results if learnable.name in r.intervals]
     if by_likelihood and (interval is not None or len(by_likelihood) == len(results)):
-        # Of one member its own; of several at least what either says. A size at next to none has no deviation.
-        lows, highs = zip(*by_likelihood, *([interval] if interval and len(results) > 1 else []), strict=True)
+        # Those of all members say enough; where some have none, at least what either says. A size at next to none has
+        # no deviation.
+        some = interval is not None and len(by_likelihood) < len(results)
+        lows, highs = zip(*by_likelihood, *([interval] if some and interval else []), strict=True)
         interval = min(lows), max(highs)
     return ConstantRecord(center, sd, interval, learnable.start, tuple(map(float, values)), own)
 
@@ -88,12 +90,19 @@ def inside_bounds(
 ) -> tuple[float, float] | None:
     """The interval of a constant, `half` its width in standard deviations: symmetrical on the scale on which it is
     trained, whose values all lie within the bounds; None for a constant at its bound, where this scale ends, and where
-    an end is too large for a number."""
-    scale = Bijections.of((learnable,))
+    an end is too large for a number.
+
+    Between two bounds of one order of magnitude, one that would pass a bound in the constant's own unit ends there, and
+    is symmetrical in this unit otherwise: the scale of training, which is bent beside a bound, would keep that value
+    from it however near it is, and have the other end follow the other bound.
+    """
+    bounds, scale = learnable.range, Bijections.of((learnable,))
     place = scale.from_natural(np.array([center]))
     slope = abs(float(scale.derivative(place)[0]))
     if not slope > 0:
         return None
+    if bounds.bounded and not bounds.logarithmic and half * sd > min(center - bounds.low, bounds.high - center):
+        return max(center - half * sd, bounds.low), min(center + half * sd, bounds.high)
     reach = half * sd / slope
     ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-reach, reach)]
     if not np.isfinite(ends).all():
@@ -168,10 +177,14 @@ def at_bounds(
 
 
 def undetermined(
-    model: Model, constants: Mapping[str, ConstantRecord], at_limits: Mapping[str, str] = MappingProxyType({})
+    model: Model,
+    constants: Mapping[str, ConstantRecord],
+    at_limits: Mapping[str, str] = MappingProxyType({}),
+    untested: AbstractSet[str] = frozenset(),
 ) -> list[str]:
     """A warning of the constants whose intervals cover their bounds: value and standard deviation, which holds near the
-    value alone, may seem to say more. `at_limits`: what is said of shapes of noises at upper bounds."""
+    value alone, may seem to say more. `at_limits`: what is said of shapes of noises at upper bounds; of the `untested`
+    ones only the curvature says that they are open."""
     at_bound, open_ones = [], []
     for learnable in model.learnables:
         record, bounds = constants.get(learnable.name), learnable.range
@@ -191,7 +204,9 @@ def undetermined(
             )
         else:
             open_ones.append((learnable, record.interval))
-    return [*_not_determined(open_ones), *at_bound]
+    known = [one for one in open_ones if one[0].name not in untested]
+    left = [_not_tested(model, *one) for one in open_ones if one[0].name in untested]
+    return [*_not_determined(known), *left, *at_bound]
 
 
 def covers(learnable: Learnable, interval: tuple[float, float] | None) -> bool:
@@ -219,6 +234,16 @@ def _not_determined(found: Sequence[tuple[Learnable, tuple[float, float]]]) -> l
         f"Give it a value (`const`) or a {narrower}prior if something is known of it, or measure what it acts on"
         for k, (low, high) in found
     ]
+
+
+def _not_tested(model: Model, learnable: Learnable, interval: tuple[float, float]) -> str:
+    """The warning of a constant that the curvature alone leaves open."""
+    profile = "" if model.diffusions else ": `gbspec profile` tells"
+    return (
+        f"the 90 % interval of `{learnable.name}`, {interval[0]:.4g} to {interval[1]:.4g}, covers its bounds: the "
+        "curvature at the estimate, from which it is computed, leaves it open; whether the data do is not known"
+        f"{profile}. Narrower bounds, a prior or a value (`const`) help if something is known of it"
+    )
 
 
 def undetermined_own(
@@ -273,7 +298,9 @@ def said_of_constants(
     known = {name: text for (_, name), text in at_limits.items()}
     followed = len(astray) < len(results)
     tested = {one for result in results.values() for one in result.open_own}
-    unclear = [*undetermined(model, constants, known), *undetermined_own(model, constants, tested)] if followed else []
+    untested = {name for result in results.values() for name in result.untested}
+    open_ones = undetermined(model, constants, known, untested), undetermined_own(model, constants, tested)
+    unclear = [text for said in open_ones for text in said] if followed else []
     beside = {
         (member, name): results[member].constants[name]
         for member, name, bound in meant

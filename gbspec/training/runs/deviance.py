@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Learnable
+from gbspec.runs import Covariance
 from gbspec.training.engines import TorchEngine, residual_vector, taken
 from gbspec.training.optimise import Passing, Penalised, Rest, beyond_jumps
-from gbspec.training.problem import Bijections, Parameters
+from gbspec.training.problem import Bijection, Bijections, Parameters
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.constants import covers, half_width
 from gbspec.training.runs.summary import MemberResult, whole_solutions
@@ -22,6 +23,11 @@ from gbspec.training.runs.verdict import widening
 
 WAYS = (0.05, 0.12, 0.25, 0.5, 0.75, 0.95)
 """The parts of the way to its bounds, on their scale, that a constant is moved, until the fit is clearly worse."""
+FEW = (0.25, 0.75)
+"""The same beside unknown functions, whose weights take longer to refit."""
+STEPS, NEAR = 4, 0.05
+"""How often an end of an interval is interpolated, at most, and how near to the threshold, as a part of it, the
+deviance there is to be."""
 
 Rise = Callable[[float], float]
 """By how much the deviance is higher with the constant held at a value, at least; minus infinity if not known."""
@@ -40,19 +46,17 @@ class Held:
         return math.fsum(abs(value - self.estimate) for value in self.worse) / (len(self.worse) * half)
 
 
-def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: float) -> Held | None:
-    """The constant, if what the deviance leaves it, up to the threshold, is clearly less than its bounds do."""
-    low, high, log = learnable.range.low, learnable.range.high, learnable.range.logarithmic
-
-    def towards(bound: float, way: float) -> float:
-        if log and value * bound > 0:
-            return float(value * (bound / value) ** way)
-        return value + way * (bound - value)
-
-    bounds, nearest = (low, high), [towards(low, WAYS[0]), towards(high, WAYS[0])]
-    ends, worse = [low, high], list[float]()
-    for side, bound in enumerate(bounds):
-        for place in (towards(bound, way) for way in WAYS):
+def held_by_data(
+    learnable: Learnable, value: float, rise: Rise, threshold: float, ways: Sequence[float] = WAYS
+) -> Held | None:
+    """The constant, if what the deviance leaves it, up to the threshold, is clearly less than its bounds do; the way to
+    the further bound, which decides more often, is tried first."""
+    bounds = (learnable.range.low, learnable.range.high)
+    nearest = [_towards(learnable, value, bound, ways[0]) for bound in bounds]
+    ends, worse = list(bounds), list[float]()
+    one = Bijection.of(learnable)
+    for side in sorted((0, 1), key=lambda i: -one.distance(value, bounds[i])):
+        for place in (_towards(learnable, value, bounds[side], way) for way in ways):
             nearest[side] = place
             if covers(learnable, (nearest[0], nearest[1])):
                 return None  # whatever further places say
@@ -66,10 +70,52 @@ def held_by_data(learnable: Learnable, value: float, rise: Rise, threshold: floa
     return None
 
 
+def _towards(learnable: Learnable, value: float, bound: float, way: float) -> float:
+    """The place on the way from a value to a bound, on the scale of the bounds."""
+    if learnable.range.logarithmic and value * bound > 0:
+        return float(value * (bound / value) ** way)
+    return value + way * (bound - value)
+
+
+def supported(learnable: Learnable, value: float, rise: Rise, threshold: float) -> tuple[float, float]:
+    """The interval that the deviance leaves a constant: to where it reaches the threshold, or to a bound where it does
+    not on the way there."""
+    ends = []
+    for bound in (learnable.range.low, learnable.range.high):
+        inner, end = (value, 0.0), bound
+        for place in (_towards(learnable, value, bound, way) for way in WAYS):
+            found = rise(place)
+            if found > threshold:
+                end = crossing(inner, (place, found), rise, threshold)
+                break
+            inner = (place, found) if math.isfinite(found) else inner
+        ends.append(end)
+    return ends[0], ends[1]
+
+
+def crossing(inner: tuple[float, float], outer: tuple[float, float], rise: Rise, threshold: float) -> float:
+    """The value at which the deviance reaches the threshold, between two at which it is below and above it (values with
+    their deviances): its root is nearly linear."""
+    middle = inner[0]
+    for _ in range(STEPS):
+        roots = [math.sqrt(min(max(each[1], 0.0), 100 * threshold)) for each in (inner, outer)]
+        share = (math.sqrt(threshold) - roots[0]) / max(roots[1] - roots[0], 1e-12)
+        middle = inner[0] + min(max(share, 0.1), 0.9) * (outer[0] - inner[0])
+        found = rise(middle)
+        if found > threshold:
+            outer = middle, found
+        else:
+            inner = middle, found
+        if abs(found - threshold) < NEAR * threshold:
+            break
+    return middle
+
+
 @dataclass(frozen=True)
 class Deviance:
-    """The sum of squares of a fit of constants alone, `least` at its end `theta`, in units of the noise's `variance`;
-    intervals, `half` their width in standard deviations, end where it is higher by `threshold`."""
+    """The sum of squares of a fit (with the prior of weights, if there are any), `least` at its end `theta`, in units
+    of the noise's `variance`; intervals, `half` their width in standard deviations, end where it is higher by
+    `threshold`. Constants with which it could not be found at some value are `unknown`."""
 
     target: Penalised
     theta: Array
@@ -77,21 +123,38 @@ class Deviance:
     variance: float
     threshold: float
     half: float
+    unknown: set[str] = field(default_factory=set)
 
     @classmethod
     def of(
-        cls, result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+        cls,
+        result: MemberResult,
+        context: Context,
+        parameters: Parameters,
+        theta: Array,
+        stages: Sequence[str],
+        known: Covariance | None = None,
     ) -> Deviance | None:
-        """That of the fit to which `stages` led; None where it takes too long."""
+        """That of the fit to which `stages` led; None where it takes too long, or where the prior of the weights of
+        networks, which is that of the covariance that is `known`, is not."""
+        if parameters.n_weights and (known is None or not known.spread):
+            return None
         blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
         engine = context.engine(parameters, blend, step_fraction(stages))
         large = len(residual_vector(engine, theta)) * parameters.size > LARGEST
         if large or (context.model.delays and isinstance(engine, TorchEngine)):
             return None
-        target, variance = penalised(context, engine, theta)
+        target, variance = penalised(context, engine, theta, known if parameters.n_weights else None)
         half = half_width([result])
         threshold = (half * widening(result.channels or {})) ** 2
-        return cls(target, theta, target.value(theta), variance, threshold, half)
+        made = cls(target, theta, target.value(theta), variance, threshold, half)
+        # A fit with networks ends where the limited residuals or held-out data say, and not at this minimum.
+        return made.at_rest() if parameters.n_weights else made
+
+    def at_rest(self) -> Deviance:
+        """The same with its minimum, all entries refitted."""
+        rest = self._fit(self.theta, ())
+        return replace(self, theta=rest.theta, least=rest.objective) if rest.objective < self.least else self
 
     def alone(self, trajectory: int) -> Deviance:
         """That of one trajectory of a model whose trajectories share nothing that is learned."""
@@ -113,9 +176,12 @@ class Deviance:
             rest = self._fit(moved, (column,))
             rest = beyond_jumps(self._fit, self.target.value, rest, column, passes, enough, low)
             known = math.isfinite(rest.objective)
+            if not known:
+                self.unknown.add(learnable.name)
             return 2 * (rest.objective - rest.promised - self.least) / self.variance if known else -math.inf
 
-        return held_by_data(learnable, estimate, rise, self.threshold)
+        ways = FEW if self.target.parameters.n_weights else WAYS
+        return held_by_data(learnable, estimate, rise, self.threshold, ways)
 
     def _fit(self, theta: Array, held: tuple[int, ...]) -> Rest:
         try:

@@ -49,7 +49,7 @@ from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import HELPS, without_loosened
 from gbspec.training.runs.uncertain import take_uncertain
-from gbspec.training.runs.verdict import widening
+from gbspec.training.runs.verdict import interval_factor
 from gbspec.training.stages import MAYBE, StageName
 
 SAVE_EVERY = 5.0
@@ -360,7 +360,7 @@ class _Runner:
             result.left += said_of_no_maximum(position.notes, position.maximum, position.held)
         instance = self._write_weights(result, names, more)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
-        factor = widening(result.channels)
+        factor = interval_factor(result.channels, result.likelihood)
         if position.finished:
             result.left += self._unsteady(instance)
             known = certainties(self.context, self.parameters, position.best, names, instance)

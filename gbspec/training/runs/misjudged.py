@@ -13,6 +13,7 @@ from itertools import combinations
 
 from gbspec.arrays import Array
 from gbspec.ir import Learnable, Model
+from gbspec.runs import Covariance
 from gbspec.training.population import LOWER, Counted, Objective, Point, PopulationResult, SpentError, with_held
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, only_in_jumps
@@ -23,26 +24,39 @@ from gbspec.training.runs.summary import MemberResult
 
 EQUAL = 0.05
 """Two constants of one unit that differ by a smaller part may be two that can be exchanged."""
+MOST_BESIDE_FUNCTIONS = 2
+"""So many constants are tested in a fit with unknown functions, whose weights are refitted too."""
 EVALUATIONS = 240
 """Values, gradients and curvatures of a marginal likelihood that all constants of a fit may take together; a constant
-that they do not decide is called open."""
+that they do not decide is not tested."""
 
 
 def without_misjudged(
-    result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
+    result: MemberResult,
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    stages: Sequence[str],
+    known: Covariance | None = None,
 ) -> list[str]:
     """Takes their standard deviations from constants of a fit of squares that the data hold although the curvature
-    does not; what is to be said of them. `stages` are those that led to `theta`."""
+    does not; what is to be said of them. `stages` are those that led to `theta`; the covariance that is `known` has the
+    prior of the weights of networks."""
     model = context.model
-    if parameters.n_weights or model.diffusions or model.marginal or not result.loss > EXACT:
+    if model.diffusions or model.marginal or not result.loss > EXACT:
         return []
     shared = [model.learnables[i] for i in parameters.shared]
-    open_ones, own = _open(result, model, shared), open_own(result, model)
-    deviance = Deviance.of(result, context, parameters, theta, stages) if open_ones or own else None
+    open_ones = open_constants(result, model, shared)
+    own = [] if parameters.n_weights else open_own(result, model)
+    deviance = Deviance.of(result, context, parameters, theta, stages, known) if open_ones or own else None
     if deviance is None:
+        result.untested |= frozenset(k.name for k in open_ones)
         return []
-    each = (deviance.held(k, parameters.n_weights + shared.index(k), result.constants[k.name]) for k in open_ones)
+    tested = open_ones[: MOST_BESIDE_FUNCTIONS if parameters.n_weights else None]
+    each = [deviance.held(k, parameters.n_weights + shared.index(k), result.constants[k.name]) for k in tested]
     found = [one for one in each if one is not None]
+    unknown = deviance.unknown | {k.name for k in open_ones[len(tested) :]}
+    result.untested |= frozenset(unknown - {one.learnable.name for one in found})
     return [*_taken(result, found), *taken_own(result, deviance, parameters, own)]
 
 
@@ -53,7 +67,7 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
     jumping = only_in_jumps(solved)  # of these there is more to say (`unmoved`)
     places = {name: place for name, place in objective.layout.typical.items() if name not in jumping}
     threshold = half_width([result]) ** 2
-    counted, lower = Counted(objective, EVALUATIONS), dict[str, tuple[float, float]]()
+    counted, lower, spent = Counted(objective, EVALUATIONS), dict[str, tuple[float, float]](), set[str]()
 
     def rise_of(name: str) -> Rise:
         place = places[name]
@@ -66,6 +80,7 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
             try:
                 objective_there, point = with_held(counted, found.point, found.ridge, place, value, start, threshold)
             except SpentError:
+                spent.add(name)
                 return -math.inf
             fall = found.point.objective - point.objective
             if fall > max(LOWER, lower.get(name, (0.0, 0.0))[1]):
@@ -76,10 +91,11 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
 
         return rise
 
-    open_ones = _open(result, model, [k for k in model.learnables if k.name in places])
+    open_ones = open_constants(result, model, [k for k in model.learnables if k.name in places])
     each = (held_by_data(k, result.constants[k.name], rise_of(k.name), threshold) for k in open_ones)
     held = [one for one in each if one is not None]
     said = _taken(result, held)
+    result.untested |= frozenset(spent - result.misjudged)
     return [*said, *(_of_lower(name, *one) for name, one in lower.items())]
 
 
@@ -91,7 +107,7 @@ def _of_lower(name: str, value: float, fall: float) -> str:
     )
 
 
-def _open(result: MemberResult, model: Model, learnables: Iterable[Learnable]) -> list[Learnable]:
+def open_constants(result: MemberResult, model: Model, learnables: Iterable[Learnable]) -> list[Learnable]:
     """The constants whose intervals, by the curvature, cover their bounds."""
     ended = dict(at_bounds(model, result.constants, result.sd))
 

@@ -21,6 +21,7 @@ from gbspec.training.engines import FilterEngine
 from gbspec.training.optimise import likeliest, restricted_value, shifts, sizes
 from gbspec.training.problem import Bijection, Integers, Parameters
 from gbspec.training.recipe import Context, filter_of, whole_vector
+from gbspec.training.runs.deviance import crossing
 from gbspec.training.runs.summary import MemberResult
 
 NONE, LARGEST = 0.01, 0.1
@@ -30,9 +31,9 @@ DOUBTFUL = 1 / 3.5
 TOLD = NORMAL_90**2
 """A disturbance is told apart from none where -2 log likelihood (restricted) is higher by more without it: the 95 %
 point, as a size cannot be negative (Self and Liang 1987). At the upper end of its interval it is higher by that."""
-WIDER, POWERS, STEEPER, STEPS = 2.0, (1, 3, 6), 5, 4
-"""The factor by which larger sizes are tried, its powers, each for so many of them (a size may have ended at next to
-none), and how often the upper end is then interpolated."""
+WIDER, POWERS, STEEPER = 2.0, (1, 3, 6), 5
+"""The factor by which larger sizes are tried, and its powers, each for so many of them (a size may have ended at next
+to none)."""
 GROWTHS = STEEPER * len(POWERS)
 """How many larger sizes there are."""
 
@@ -73,21 +74,9 @@ class _Sizes:
         return bound
 
     def _between(self, inner: tuple[float, float], outer: tuple[float, float], near: Array) -> float:
-        """The size at which -2 log likelihood rises by `TOLD`, between two of which it rises by less and by more: its
-        root is nearly linear."""
-        middle = inner[0]
-        for _ in range(STEPS):
-            roots = [math.sqrt(min(max(each[1] - self.least, 0.0), 100 * TOLD)) for each in (inner, outer)]
-            share = (math.sqrt(TOLD) - roots[0]) / max(roots[1] - roots[0], 1e-12)
-            middle = inner[0] + min(max(share, 0.1), 0.9) * (outer[0] - inner[0])
-            found, vector = self.at(middle, near)
-            if found - self.least > TOLD:
-                outer = middle, found
-            else:
-                inner, near = (middle, found), vector
-            if abs(found - self.least - TOLD) < 0.05 * TOLD:
-                break
-        return middle
+        """The size at which -2 log likelihood rises by `TOLD`, between two of which it rises by less and by more."""
+        below, above = ((size, found - self.least) for size, found in (inner, outer))
+        return crossing(below, above, lambda size: self.at(size, near)[0] - self.least, TOLD)
 
 
 def without_disturbances(

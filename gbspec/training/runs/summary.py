@@ -112,6 +112,9 @@ class MemberResult:
     ones; 0: as known."""
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Intervals of constants by the likelihood, where those of the curvature say nothing."""
+    untested: frozenset[str] = frozenset()
+    """Constants that the curvature leaves open between their bounds; whether the data do was not tested, or not found
+    with as many fits as may be made."""
 
 
 def summarise(

@@ -16,6 +16,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
+from gbspec.runs import Covariance
 from gbspec.training.engines import Engine, TorchEngine, residual_vector
 from gbspec.training.optimise import Anchor, Certainty, Penalised, Rest, loosened, minimise, noise_variance
 from gbspec.training.problem import Bijection, Bijections, Integers, Parameters
@@ -133,13 +134,18 @@ def _followed(
     return [furthest[name][1] for name in names if name in furthest]
 
 
-def penalised(context: Context, engine: Engine, theta: Array) -> tuple[Penalised, float]:
-    """The sum of squares of a fit of constants alone, and the variance of its noise at a vector."""
+def penalised(
+    context: Context, engine: Engine, theta: Array, known: Covariance | None = None
+) -> tuple[Penalised, float]:
+    """The sum of squares of a fit, and the variance of its noise at a vector. Weights of networks, whose prior is that
+    of the covariance that is `known`, are drawn to those of the vector, as a profile does."""
     parameters, residuals = engine.parameters, residual_vector(engine, theta)
     used = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+    used += float(np.sum(1.0 - known.shares)) if known is not None else 0.0
     variance = noise_variance(engine.problem, residuals, float("inf"), used)
     problem = replace(engine.problem, scaling=replace(engine.problem.scaling, noise=math.sqrt(variance)))
-    return Penalised(context.choice.engine(problem, parameters), 0.0, np.zeros(0)), variance
+    ridge = variance / known.spread**2 if known is not None and known.spread else 0.0
+    return Penalised(context.choice.engine(problem, parameters), ridge, theta[: parameters.n_weights].copy()), variance
 
 
 def _inwards(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from gbspec.arrays import Array
 from gbspec.runs import Certainties
@@ -12,6 +13,7 @@ from gbspec.training.recipe import Context
 from gbspec.training.runs.ended_own import without_own_at_bounds
 from gbspec.training.runs.jumping import said_of_kinks, without_jumping
 from gbspec.training.runs.misjudged import without_misjudged
+from gbspec.training.runs.misjudged_disturbed import with_likelihood
 from gbspec.training.runs.small_disturbances import without_disturbances
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.tied import without_tied
@@ -29,8 +31,9 @@ def take_uncertain(
     """Takes their standard deviations from these constants, with what is to be said of them, and returns what is
     `known` without theirs. `stages` are those that led to the result."""
     if not context.model.marginal:
-        each = without_tied, without_own_at_bounds, without_misjudged, without_disturbances, without_jumping
-        for said in (*each, said_of_kinks):
+        misjudged = partial(without_misjudged, known=known.covariance)
+        each = without_tied, without_own_at_bounds, misjudged, without_disturbances, with_likelihood
+        for said in (*each, without_jumping, said_of_kinks):
             result.tied += said(result, context, parameters, theta, stages)
     result.tied += without_unmoved(result, context, stages)
     covariance = known.covariance

@@ -251,11 +251,19 @@ def widening(channels: Mapping[str, ChannelRecord]) -> float:
 
     A fraction of the values counts (see `share_that_counts`), and standard deviations are larger by the root of its
     inverse. That is so wherever a correlation is beyond chance, also where it is too small for a warning. Channels that
-    were weighed by this share have such intervals already.
+    were weighed by this share have such intervals already. The factor is that of a mean under least squares; intervals
+    of a likelihood of innovations, among them those of sizes, are its own (`interval_factor`).
     """
     left = [channels[name] for name in autocorrelated(channels, above=0.0) if (channels[name].share or 1.0) == 1.0]
     shares = [share_that_counts(one.autocorrelation or 0.0, _length(one)) for one in left]
     return max((1 / math.sqrt(share) for share in shares), default=1.0)
+
+
+def interval_factor(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord | None) -> float:
+    """`widening` of a fit of squares; 1 of one by the likelihood of innovations. What correlated innovations take from
+    its curvature differs between constants (from a size less than from a level, from those of other channels nothing),
+    and is said in words."""
+    return widening(channels) if likelihood is None else 1.0
 
 
 def _length(channel: ChannelRecord) -> float:
@@ -302,7 +310,9 @@ def innovations(
     out, coloured = [], not_independent(channels, likelihood)
     if coloured:
         listed = ", ".join(f"`{name}` ({_why_coloured(channels, name, p)})" for name, p in coloured.items())
-        out.append(f"the innovations of {listed} {NOT_INDEPENDENT}. {_other_disturbances(model)}")
+        factor = widening({name: channels[name] for name in coloured})
+        mean = f". The interval of a mean would have to be {factor:.2g} times as wide" * (factor > 1)
+        out.append(f"the innovations of {listed} {NOT_INDEPENDENT}{mean}. {_other_disturbances(model)}")
     unknown = {name: one.value for name, one in likelihood.noise.items() if one.interval is None}
     logs = {c.name for c in model.channels if c.noise is not None and c.noise.kind == "lognormal"} if model else set()
     least = {name: SMALL_LOG if name in logs else SMALL * (rmse or {}).get(name, math.inf) for name in unknown}
