@@ -206,6 +206,16 @@ def test_constants_that_are_not_determined_share_a_warning(tmp_path: Path) -> No
     assert "`k` is not determined by these data: its 90 % interval, 0.01 to 0.99, covers its bounds" in said
 
 
+def test_beside_unknown_functions_only_the_curvature_is_said_not_to_determine_a_constant(tmp_path: Path) -> None:
+    """Nothing further off was tested; the profile of a time constant of 0.125 had an upper end, 0.35, of 20."""
+    text = TEXT.replace("k = 1 in [0, 2]", "k = 0.5 in [0, 1]\nunknown f(x in [0, 1])")
+    (tmp_path / "m.gb").write_text(text.replace("x' = -k*x", "x' = -k*f(x)"))
+    model = gbspec.load(tmp_path / "m.gb").model
+    (said,) = undetermined(model, {"k": ConstantRecord(0.5, 0.01, (0.01, 0.99), 0.5, (0.5,), None)})
+    assert said.startswith("`k` is not determined by the curvature of the fit: its 90 % interval")
+    assert "`gbspec profile` tells. Otherwise give it a value" in said
+
+
 def test_a_constant_at_its_bound_is_not_said_to_be_undetermined(tmp_path: Path) -> None:
     """Its standard deviation is small; on the logistic scale of the bounds it is huge, and the interval covers them."""
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k = 0.3 in [0.05, 0.6]"))

@@ -191,7 +191,9 @@ def undetermined(
             )
         else:
             open_ones.append((learnable, record.interval))
-    return [*_not_determined(open_ones), *at_bound]
+    # Without unknown functions, and in populations, these were tested with the constant held further off.
+    untested = bool(model.networks) and not (model.marginal or model.diffusions)
+    return [*_not_determined(open_ones, untested), *at_bound]
 
 
 def covers(learnable: Learnable, interval: tuple[float, float] | None) -> bool:
@@ -204,19 +206,27 @@ def covers(learnable: Learnable, interval: tuple[float, float] | None) -> bool:
     return bool(abs(high - low) >= COVERED * abs(most - least))
 
 
-def _not_determined(found: Sequence[tuple[Learnable, tuple[float, float]]]) -> list[str]:
-    """One warning of all constants whose intervals cover their bounds."""
+def _not_determined(found: Sequence[tuple[Learnable, tuple[float, float]]], untested: bool) -> list[str]:
+    """One warning of all constants whose intervals cover their bounds; `untested`: by the curvature alone."""
     narrower = "narrower " * all(k.prior is not None for k, _ in found)
+    by, first, give = "these data", "", "Give"
+    if untested:
+        them = "it" if len(found) == 1 else "them"
+        first = (
+            f"The data may bound {them} further off, which is not tested beside unknown functions: `gbspec profile` "
+        )
+        by, first, give = "the curvature of the fit", first + "tells. ", "Otherwise give"
     if len(found) > 1:
         names = [f"`{k.name}`" for k, _ in found]
         return [
-            f"{', '.join(names[:-1])} and {names[-1]} are not determined by these data: their 90 % intervals cover "
-            f"their bounds. Give them values (`const`) or {narrower}priors if something is known of them, or measure "
-            "what they act on"
+            f"{', '.join(names[:-1])} and {names[-1]} are not determined by {by}: their 90 % intervals cover their "
+            f"bounds. {first}{give} them values (`const`) or {narrower}priors if something is known of them, or "
+            "measure what they act on"
         ]
     return [
-        f"`{k.name}` is not determined by these data: its 90 % interval, {low:.4g} to {high:.4g}, covers its bounds. "
-        f"Give it a value (`const`) or a {narrower}prior if something is known of it, or measure what it acts on"
+        f"`{k.name}` is not determined by {by}: its 90 % interval, {low:.4g} to {high:.4g}, covers its bounds. "
+        f"{first}{give} it a value (`const`) or a {narrower}prior if something is known of it, or measure what it acts "
+        "on"
         for k, (low, high) in found
     ]
 
