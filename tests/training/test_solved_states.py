@@ -8,8 +8,8 @@ import pytest
 from gbspec.backends import load_module
 from gbspec.data import Signal, Trajectories
 from gbspec.training import TrainOptions
-from gbspec.training.recipe import prepare
-from gbspec.training.recipe.solved_states import solved_states
+from gbspec.training.recipe import build_context, prepare
+from gbspec.training.recipe.solved_states import solved_states, with_solved_states
 from tests.training.conftest import model_of, trajectory
 
 MODEL = """
@@ -43,14 +43,26 @@ def test_an_argument_without_a_range_has_the_size_of_solutions(warm_start: bool)
 @pytest.mark.parametrize(
     ("before", "after", "solved"),
     [
-        ("", "", (True, True)),
-        ("state v", "state v in [0, 9]", (True, False)),
-        ("v' = w - v", "v' = f(v) - v", (True, False)),
+        ("", "", (False, True)),
+        ("f(v)\n", "f(w)\n", (True, False)),
+        ("y = f(v)", "y = f(v + w)", (True, True)),
+        ("state v", "state v in [0, 9]", (False, False)),
+        ("v' = w - v", "v' = f(v) - v", (False, False)),
         ("w' = (u - w)/tau", "w' = (f(v) - w)/tau", (False, False)),
     ],
 )
 def test_only_what_no_unknown_function_moves_is_solved(before: str, after: str, solved: tuple[bool, ...]) -> None:
     assert tuple(solved_states(model_of(MODEL.replace(before, after)), np.zeros(2, dtype=np.bool_))) == solved
+
+
+def test_a_solution_by_too_large_a_step_tells_no_size() -> None:
+    """Rows every 40 for a time constant of 0.02: the guess stays."""
+    t = np.linspace(0.0, 400.0, 11)
+    item = trajectory("1", 0.0, t, np.cos(t)[:, None], [], inputs=(Signal(t, np.full(11, 280.0)),))
+    model = model_of(MODEL.replace("tau = 0.5 in [0.1, 20]", "tau = 0.02 in [0.01, 20]"))
+    context = build_context(model, load_module(model), Trajectories((item,), ("y",)), TrainOptions(), 0)
+    found = with_solved_states(context, np.array([0.02]))
+    assert found.solved is not None and (found.solved == 0).all()
 
 
 def test_a_measured_state_may_be_moved_by_an_unknown_function() -> None:

@@ -46,6 +46,8 @@ class Points:
     scale: Array
     measurements: int
     past: Past | None = None
+    solved: Array | None = None
+    """The states [M, n_states] for arguments of unknown functions, where more is known of them than `x` has."""
 
     def __len__(self) -> int:
         return len(self.t)
@@ -53,7 +55,8 @@ class Points:
     def some(self, index: Integers) -> Points:
         """Some of the points."""
         columns = ("t", "x", "slope", "condition", "inputs", "trajectory")
-        return replace(self, **{name: getattr(self, name)[index] for name in columns})
+        solved = None if self.solved is None else self.solved[index]
+        return replace(self, solved=solved, **{name: getattr(self, name)[index] for name in columns})
 
 
 def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:

@@ -243,8 +243,8 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> Eliminated:
 
 
 def _spread(model: Model, points: Points) -> Points:
-    """The points with states that have no curve spread over their declared ranges."""
-    x, draws = points.x.copy(), sobol(len(points), len(model.states), 0)
+    """The points with states that have no curve spread over their declared ranges, or as solutions have them."""
+    x, draws = (points.x if points.solved is None else points.solved).copy(), sobol(len(points), len(model.states), 0)
     for i, state in enumerate(model.states):
         if i not in points.rough and state.range is not None and state.range.bounded:
             x[:, i] = state.range.low + (state.range.high - state.range.low) * draws[:, i]
