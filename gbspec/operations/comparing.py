@@ -126,7 +126,8 @@ def compare(runs: Sequence[Run]) -> Comparison:
             )
             raise _refused(run, runs[0], "were fitted to different numbers of values of the same table", help_text)
         found.append((run, one))
-    ways = {run.fit.population.nodes for run, _ in found if run.fit.population is not None}
+    integrated = [run.fit.population for run, _ in found if run.fit.population is not None]
+    ways = {one.nodes for one in integrated if one.effects}  # without distributions a likelihood is exact
     if len(ways) > 1:
         message = "the likelihoods were computed in different ways: by Laplace's method and by quadrature"
         raise UserError([Diagnostic("GB775", message, None, help="fit all of them with the same `--quadrature`")])

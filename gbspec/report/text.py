@@ -251,14 +251,17 @@ def distributions(found: PopulationRecord) -> tuple[list[str], list[list[str]]]:
 
 
 def marginal_line(found: PopulationRecord) -> str:
-    """The marginal likelihood, how it was computed, and what is compared with others."""
+    """The marginal likelihood, how it was computed (without distributions nothing is approximated), and what is
+    compared with others."""
     way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
     value = "not a finite number" if found.minus2ll is None else f"{found.minus2ll:.4f}"
-    ended = "" if found.maximum else f", not at its maximum: {found.reason}"
-    said = f"-2 log likelihood {value} ({way}{ended}), {found.parameters:.4g} parameters"
+    ended = "" if found.maximum else f"not at its maximum: {found.reason}"
+    remarks = ", ".join(one for one in (way if found.effects else "", ended) if one)
+    remarks = f" ({remarks})" if remarks else ""
+    said = f"-2 log likelihood {value}{remarks}, {found.parameters:.4g} parameters"
     if found.aic is not None and found.bic is not None:
         said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
-    if found.exact_hessian is not None:
+    if found.exact_hessian is not None and found.effects:
         said += f"; with the exact Hessian {found.exact_hessian:.4f}"
     return said
 

@@ -374,7 +374,7 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
                 "GB550",
                 f"`{written}` has no unit, and the rest of the model does not determine it",
                 place,
-                help=_how(written, declaration.kind),
+                help=_how(written, declaration),
                 subject=name if declaration.span is None else normalise(declaration.span.text),
             )
 
@@ -421,17 +421,11 @@ def _first_place(units: Units) -> Span | None:
     return next((d.span for d in units.table.values() if d.kind is Kind.STATE), None)
 
 
-def _how(name: str, kind: Kind) -> str:
-    word = {
-        Kind.TIME: "time",
-        Kind.STATE: "state",
-        Kind.ALGEBRAIC: "algebraic",
-        Kind.CONDITION: "condition",
-        Kind.INPUT: "input",
-        Kind.CONST: "const",
-        Kind.LEARN: "learn",
-        Kind.TABLE: "table",
-        Kind.UNKNOWN: "unknown",
-    }[kind]
-    arguments = "(…)" if kind in (Kind.TABLE, Kind.UNKNOWN) else ""
-    return f"declare it: `{word} {name}{arguments} : UNIT` (a pure number has the unit `1`)"
+def _how(name: str, declaration: Declaration) -> str:
+    statement = declaration.statement
+    word = "time" if statement is None else statement.entry.word
+    arguments = "(…)" if declaration.kind in (Kind.TABLE, Kind.UNKNOWN) else ""
+    value = ""
+    if isinstance(statement, ast.StateStatement) and statement.span.text.startswith(ast.DiscreteStatement.entry.word):
+        word, value = ast.DiscreteStatement.entry.word, " = …"  # written as a state by now
+    return f"declare it: `{word} {name}{arguments} : UNIT{value}` (a pure number has the unit `1`)"

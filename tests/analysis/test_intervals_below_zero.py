@@ -50,6 +50,21 @@ class Ends:
     """A prediction whose interval goes below zero."""
 
     failure, mean, low = "", np.array([[0.1], [3.0]]), np.array([[-1.0], [2.0]])
+    high = 2 * mean - low
+
+
+@pytest.mark.parametrize(
+    ("observed", "bounds", "said"),
+    [
+        ("observe x", "[0, 3.5]", ". Upper ends lie beyond the declared range, [0, 3.5], in 1 of 2 rows (to 4)"),
+        ("observe y = x", "[0, 1]", ". Upper ends lie beyond the declared range, [0, 1], in 2 of 2 rows (to 4)"),
+        ("observe x", "[0, 3.9]", ""),
+        ("observe q = k*x", "[0, 1]", ""),
+    ],
+)
+def test_upper_ends_beyond_the_declared_range_are_told_with_them(observed: str, bounds: str, said: str) -> None:
+    (found,) = said_of_ends(model_of(DECAY.format(range=bounds) + observed + "\n"), [Ends()], [])
+    assert found.endswith(said) if said else "Upper" not in found
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,9 @@ CHAIN = (
     "model m\ntime t : day\nstate x[1..3]\nstate y : g\nconst r : 1/day = 2\nx[i]' = -r*x[i]\ny' = -r*y\n"
     "observe x[1]\nobserve y\n"
 )
+HEATER = (
+    "model m\ntime t : h\nstate x : K\nconst r : K/h = 2\ndiscrete on = 1\nevent off at 20: on = 0\nx' = r\nobserve x\n"
+)
 
 
 def told(text: str) -> list[tuple[str, str]]:
@@ -29,6 +32,7 @@ def told(text: str) -> list[tuple[str, str]]:
     [
         (CATEGORIES, [("`k`", "declare it: `learn k : UNIT`")]),
         (CHAIN, [("`x[1..3]`", "declare it: `state x[1..3] : UNIT`")]),
+        (HEATER, [("`on`", "declare it: `discrete on : UNIT = …`")]),
         (CATEGORIES + "allow GB550 k\n", []),
         (CHAIN + "allow GB550 x\n", []),
     ],
@@ -40,3 +44,4 @@ def test_the_advice_can_be_written(text: str, said: list[tuple[str, str]]) -> No
 def test_the_unit_may_be_declared_as_advised() -> None:
     assert told(CATEGORIES.replace("learn k", "learn k : 1")) == []
     assert told(CHAIN.replace("x[1..3]", "x[1..3] : g")) == []
+    assert told(HEATER.replace("on = 1", "on : 1 = 1")) == []

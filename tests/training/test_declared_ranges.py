@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from gbspec.backends import load_module
-from gbspec.data import Trajectories
+from gbspec.data import Signal, Trajectories
+from gbspec.diagnostics import Findings
+from gbspec.passes import with_contracts
 from gbspec.training import TrainOptions
 from gbspec.training.recipe import build_context
 from gbspec.training.starts import eliminate, network_scales
@@ -92,3 +94,86 @@ def test_a_hidden_state_is_scaled_by_its_range(state: str, argument: str, low: f
         assert center[1] == pytest.approx((low + high) / 2, abs=0.05 * (high - low))
         assert (least[1], largest[1]) == pytest.approx((low, high), abs=0.05 * (high - low))
     assert scale[0] == pytest.approx(np.sin(t).std(), rel=0.1), "that of a measured state is its data's"
+
+
+SENSED = """
+model sensed
+time t
+input u held
+state x
+state w{state}
+unknown f({formal}){contract}
+x' = u - x
+w' = (u - w)/3
+{between}observe x
+observe y = {channel}
+"""
+
+
+def sensed_scales(**parts: str) -> dict[str, np.ndarray]:
+    """The scales of `f`, of which only a channel says anything, from 60 rows with u between 40 and 60."""
+    filled = {"state": "", "formal": "w", "contract": "", "between": "", "channel": "f(w)"} | parts
+    model = with_contracts(model_of(SENSED.format(**filled)), Findings())
+    t = np.linspace(0.0, 5.0, 60)
+    u = np.where(t < 2.5, 40.0, 60.0)
+    values = np.stack([50 + np.sin(t), np.cos(t)], axis=1)
+    item = trajectory("1", 0.0, t, values, [], inputs=(Signal(t, u),))
+    context = build_context(model, load_module(model), Trajectories((item,), ("x", "y")), TrainOptions(), 0)
+    found = network_scales(model, eliminate(model, context.module, context.points, np.zeros(len(model.learnables))))
+    return {name.rsplit("_", 1)[1]: value for name, value in found.items() if "input_" in name}
+
+
+@pytest.mark.parametrize(
+    ("parts", "low", "high"),
+    [
+        ({}, -10, 100),
+        ({"contract": " >= 0, convex in w"}, -10, 100),
+        ({"contract": " = 1 + nn"}, -10, 100),
+        ({"contract": " by spline(8)"}, -10, 100),
+        ({"between": "let q = f(w)\n", "channel": "2*q"}, -10, 100),
+        ({"channel": "f(w/10 - 3)"}, -4, 7),
+        ({"formal": "w in [20, 80]"}, 20, 80),
+        ({"formal": "v in [20, 80]"}, 20, 80),
+    ],
+)
+def test_a_function_that_only_a_channel_has_is_scaled_by_the_range_of_a_hidden_state(
+    parts: dict[str, str], low: float, high: float
+) -> None:
+    found = sensed_scales(state=" in [-10, 100]", **parts)
+    assert found["scale"] == pytest.approx((high - low) / np.sqrt(12), rel=0.05)
+    assert found["center"] == pytest.approx((low + high) / 2, abs=0.05 * (high - low))
+    assert (found["low"], found["high"]) == pytest.approx((low, high), abs=0.05 * (high - low))
+
+
+def test_each_argument_of_such_a_function_has_the_scale_of_what_it_is() -> None:
+    parts = {"formal": "w, v, s", "channel": "f(w, u, x)"}
+    found = sensed_scales(state=" in [-10, 100]", **parts)
+    assert found["scale"] == pytest.approx([110 / np.sqrt(12), 10, np.sin(np.linspace(0, 5, 60)).std()], rel=0.1)
+    assert found["center"][1:] == pytest.approx([50, 50], abs=1)
+
+
+def test_an_angle_that_only_a_channel_has_gets_the_scale_of_a_cosine() -> None:
+    found = sensed_scales(state=" in [-10, 100]", formal="w, v", contract=" period 24 in v", channel="f(w, t)")
+    assert found["scale"] == pytest.approx([110 / np.sqrt(12), np.sqrt(0.5)], rel=0.05)
+
+
+REFILLED = """
+model refilled
+time t
+state x
+state z in [10, 40]
+unknown f(z) >= 0
+x' = -0.1*x
+z' = -0.1*z
+event refill when x < 0.5: x = f(z)
+observe x
+"""
+
+
+def test_a_function_that_only_an_event_has_is_scaled_too() -> None:
+    model = model_of(REFILLED)
+    t = np.linspace(0.0, 5.0, 60)
+    data = Trajectories((trajectory("1", 0.0, t, np.exp(-0.1 * t)[:, None], []),), ("x",))
+    context = build_context(model, load_module(model), data, TrainOptions(), 0)
+    found = network_scales(model, eliminate(model, context.module, context.points, np.zeros(0)))
+    assert found["network.f.input_scale"][0] == pytest.approx(30 / np.sqrt(12), rel=0.05)

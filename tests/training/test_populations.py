@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from gbspec.backends import load_module
 from gbspec.data import Limits, Trajectories, shipped_model
-from gbspec.diagnostics import Findings, UserError
+from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Model
 from gbspec.operations import comparing, models, tables
@@ -289,6 +289,15 @@ def test_a_fit_finds_the_maximum_of_the_likelihood_and_records_it(tmp_path: Path
     assert document["constants"]["m"]["value"] == document["population"]["effects"]["m"]["median"]
 
 
+def test_without_distributions_no_way_to_integrate_is_named(tmp_path: Path) -> None:
+    text = LEVEL.replace(" per trajectory ~ normal(s)", "").replace("learn s = 1 > 0\n", "")
+    model, (_, data, _) = model_of(text, tmp_path), levels(tmp_path)
+    run = train(model, data, TrainOptions(backend="torch", max_step=1.0, effort="low"), tmp_path / "run")
+    assert run.fit.population is not None and run.fit.population.effects == {}
+    assert run.fit.objective is not None
+    assert run.fit.objective.definition == "likelihood: -2 log likelihood"
+
+
 def test_runs_of_nested_models_are_compared(tmp_path: Path) -> None:
     model, data, _ = levels(tmp_path)
     options = TrainOptions(backend="torch", max_step=1.0, effort="low")
@@ -316,12 +325,26 @@ def test_unseen_trajectories_are_drawn_and_start_from_the_median(tmp_path: Path)
     assert np.std(drawn) == pytest.approx(subject.individuals.factor[0, 0], rel=0.15)
 
 
-def test_an_unknown_start_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_start_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbspec.training.recipe.context.fit_curves", lambda *_: pytest.fail("the data were prepared"))
     model = model_of(LEVEL.replace("initial x = m\n", "state z\nz' = m\n"), tmp_path)
     data = tables.read_data(table(tmp_path, np.ones((2, 3)), np.arange(3.0)), model, Findings())
     with pytest.raises(UserError) as caught:
         train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
     assert [found.code for found in caught.value.diagnostics] == ["GB776"]
+    assert not (tmp_path / "run").exists()  # so that the corrected call is not refused
+
+
+def test_what_is_refused_before_anything_is_learned_leaves_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise UserError([Diagnostic("GB863", "there is no kernel", None)])
+
+    monkeypatch.setattr("gbspec.training.runs.fit.fit_jobs", refused)
+    model, data, _ = levels(tmp_path)
+    with pytest.raises(UserError):
+        train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
     assert unbegun(tmp_path / "run")  # so that the corrected call is not refused
 
 

@@ -30,6 +30,7 @@ from gbspec.training.runs.verdict import (
     autocorrelations,
     blown_up,
     not_followed,
+    unrested,
     verdicts,
 )
 from gbspec.training.runs.warned import warnings_of
@@ -159,6 +160,26 @@ def test_what_a_model_with_disturbances_has_is_no_remedy(before: str, after: str
     assert said.endswith("or another model") and "bounds" not in said
     (wider,) = verdicts(record, model, ["r"])
     assert "What may help: wider bounds of `r`, if values beyond them are plausible, " in wider
+
+
+HIDDEN_STATE = "model m\nstate x\nstate w{range}\n{k}unknown f(w)\nx' = f\nw' = {rate} - w\nobserve x noise normal(1)\n"
+
+
+@pytest.mark.parametrize(
+    ("bounds", "learned", "ranges", "narrower"),
+    [("", True, True, True), (" in [0, 9]", True, False, True), ("", False, True, False)],
+)
+def test_ranges_that_are_declared_are_no_remedy(bounds: str, learned: bool, ranges: bool, narrower: bool) -> None:
+    k = ("learn k = 1\n", "k") if learned else ("", "1")
+    model = model_of(HIDDEN_STATE.format(range=bounds, k=k[0], rate=k[1]))
+    record = {"x": ChannelRecord(-0.1, 0.2, "the mean of each trajectory", autocorrelation=0.9, pairs=100, values=101)}
+    (followed,) = verdicts(record, model)
+    (rest,) = unrested(record, "", model)
+    (stated,) = above_stated({"x": 9.0}, model)
+    for text in (followed, rest, stated):
+        assert ("ranges of unmeasured states" in text) is ranges
+    for text in (rest, stated):
+        assert ("narrower bounds" in text) is narrower
 
 
 def test_a_model_without_unknown_functions_is_not_told_to_change_them() -> None:

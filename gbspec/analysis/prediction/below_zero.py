@@ -29,7 +29,7 @@ NEGATIVE = 1e-3
 
 
 class Predicted(Protocol):
-    """What is read of a predicted trajectory: its means and the lower ends of its intervals [R, V]."""
+    """What is read of a predicted trajectory: its means and the ends of its intervals [R, V]."""
 
     @property
     def failure(self) -> str:
@@ -43,17 +43,23 @@ class Predicted(Protocol):
     def low(self) -> Array:
         """The lower ends."""
 
+    @property
+    def high(self) -> Array:
+        """The upper ends."""
+
 
 def said_of_ends(model: Model, items: Sequence[Predicted], hidden: Sequence[int]) -> list[str]:
     """A warning for each channel, and each of the `hidden` states behind the channels, whose intervals reach far below
     zero although by declared ranges they do not, or whose noise is log-normal around predictions of zero or less."""
     values = [*(channel.value for channel in model.channels), *(model.states[i].symbol for i in hidden)]
     names = [*(channel.name for channel in model.channels), *(model.states[i].name for i in hidden)]
+    states = [*(channel.state for channel in model.channels), *hidden]
     log = np.pad(logarithmic(model), (0, len(hidden)))
     solved, found = [item for item in items if not item.failure], []
     for j, (name, value) in enumerate(zip(names, values, strict=True)):
-        low, mean = (
-            np.concatenate([np.zeros(0), *(getattr(item, which)[:, j] for item in solved)]) for which in ("low", "mean")
+        low, mean, high = (
+            np.concatenate([np.zeros(0), *(getattr(item, which)[:, j] for item in solved)])
+            for which in ("low", "mean", "high")
         )
         least = float(np.min(low, initial=0.0, where=np.isfinite(low)))
         largest = float(np.max(np.abs(mean), initial=0.0, where=np.isfinite(mean)))
@@ -65,6 +71,7 @@ def said_of_ends(model: Model, items: Sequence[Predicted], hidden: Sequence[int]
             found.append(
                 f"the 90 % intervals of `{name}` go below zero in {rows}, although {_declared(model, channel)}: "
                 + _why(mean[low < 0], largest, channel)
+                + _above(model, states[j], high)
             )
     return found
 
@@ -92,6 +99,16 @@ def _declared(model: Model, channel: Channel | None) -> str:
     if state is not None:
         return f"by the declared range of `{state}`, which it measures, it does not"
     return "by the declared ranges of what it is computed from it cannot"
+
+
+def _above(model: Model, state: int | None, high: Array) -> str:
+    """What is said of upper ends beyond the declared range of the state that they are of, if any."""
+    bounds = None if state is None else model.states[state].range
+    most = float(np.max(high, initial=-np.inf, where=np.isfinite(high)))
+    if bounds is None or not bounds.bounded or not most > bounds.high + FAR * (bounds.high - bounds.low):
+        return ""
+    rows = f"{int((high > bounds.high).sum())} of {counted(len(high), 'row')} (to {most:.3g})"
+    return f". Upper ends lie beyond the declared range, [{bounds.low:g}, {bounds.high:g}], in {rows}"
 
 
 def _instead(channel: Channel) -> str:

@@ -228,6 +228,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "overview": overview,
         "model": model,
         "equations": _equations(model),
+        "learned": _learned(model),
         "declared": tables.declared(model),
         "summary": _summary(run, found),
         "sections": _sections(source, store, {id for id, content in shown.items() if not content}),
@@ -261,6 +262,17 @@ def _equations(model: Model) -> list[tuple[str, str]]:
     )
     # The printer has escaped all names, so that these need no further escaping.
     return [(heading, Markup(mathml.equations(pairs, sign))) for heading, pairs, sign in blocks if pairs]
+
+
+def _learned(model: Model) -> str:
+    """What the calligraphic N of the equations stands for; nothing without unknown functions."""
+    splines = [name for network in model.networks if network.spline for name in network.outputs]
+    others = [name for network in model.networks if not network.spline for name in network.outputs]
+    if splines and others:
+        return f"𝒩 learns what is not known: a spline in {', '.join(splines)}, a network in {', '.join(others)}."
+    if splines or others:
+        return f"𝒩 is the {'spline' if splines else 'network'} that learns what is not known."
+    return ""
 
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:

@@ -122,9 +122,8 @@ def _marginal(context: Context, parameters: Parameters, given: Given, halvings: 
     events = happened(individuals.engine, individuals.vector(constants.detach().numpy(), weights))
     slides = context.cutting and events is not None and bool(events.uncut.any())
     lacking = Lacking.of(model, context.switched, slides)
-    return Evaluated(
-        value.total / 2, chi2, gradient, values, np.inf, f"{context.module.solver}, Laplace's method", lacking
-    )
+    way = f"{context.module.solver}, Laplace's method" if model.distributed else context.module.solver
+    return Evaluated(value.total / 2, chi2, gradient, values, np.inf, way, lacking)
 
 
 def _limited(residual: Array, side: Array) -> Array:

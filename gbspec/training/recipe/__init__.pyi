@@ -18,6 +18,7 @@ from .planned import left_for_intervals as left_for_intervals
 from .planned import step_fraction as step_fraction
 from .planning import FIRST_RIDGE as FIRST_RIDGE
 from .planning import plan as plan
+from .populations import check_starts as check_starts
 from .populations import marginal_objective as marginal_objective
 from .preparation import initial as initial
 from .preparation import prepare as prepare

@@ -17,6 +17,7 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem import (
     Control,
     Forcing,
+    Integers,
     Packed,
     Parameters,
     Problem,
@@ -289,21 +290,33 @@ def start_states(model: Model, trajectories: Trajectories, curves: Curves, packe
     middle of its range.
     """
     measured, seen = measured_states(model, packed)
-    n = len(trajectories)
-    value, free = np.zeros((n, len(model.states))), np.ones((n, len(model.states)))
-    at_start = np.flatnonzero((packed.row_index == 0) & (packed.row_step == 0))
-    for i, state in enumerate(model.states):
+    value, free = np.zeros((len(trajectories), len(model.states))), learned_starts(model, packed)
+    at_start = _rows_at_start(packed)
+    for i in range(len(model.states)):
         guess = _guess(model, i, measured[:, i])
         for k, item in enumerate(trajectories.items):
             curve = curves.items[k][i]
             value[k, i] = curve.extended(np.array([item.start]))[0] if curve is not None else guess
         first = at_start[seen[at_start, i]]
         value[packed.row_trajectory[first], i] = measured[first, i]
+    return value, free
+
+
+def learned_starts(model: Model, packed: Packed) -> Array:
+    """A mask [N, n_states] of the initial states that neither the model gives nor a measurement at the start."""
+    _, seen = measured_states(model, packed)
+    free = np.ones((packed.trajectories, len(model.states)))
+    at_start = _rows_at_start(packed)
+    for i, state in enumerate(model.states):
         if state.initial.kind == "measured":
-            free[packed.row_trajectory[first], i] = 0.0
+            free[packed.row_trajectory[at_start[seen[at_start, i]]], i] = 0.0
         elif state.initial.known:
             free[:, i] = 0.0
-    return value, free
+    return free
+
+
+def _rows_at_start(packed: Packed) -> Integers:
+    return np.flatnonzero((packed.row_index == 0) & (packed.row_step == 0))
 
 
 def released_starts(model: Model, free: Array, absent: Mask) -> Array:

@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.data import Trajectories, absent_states
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir import Model
 from gbspec.training.engines import Engine, explain_failure, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, OtherMaxima, Stage
+from gbspec.training.options import TrainOptions
 from gbspec.training.population import (
     Exchanged,
     Groups,
@@ -27,8 +30,8 @@ from gbspec.training.population import (
     pooled_vector,
     values_of,
 )
-from gbspec.training.problem import Parameters, mean_loss
-from gbspec.training.recipe.context import Context
+from gbspec.training.problem import Parameters, mean_loss, pack
+from gbspec.training.recipe.context import Context, learned_starts, split
 from gbspec.training.recipe.cutting import only_in_jumps
 from gbspec.training.recipe.finer import HALVINGS
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, other_weights
@@ -71,13 +74,18 @@ def marginal_objective(context: Context, parameters: Parameters, begun: Sequence
     return Objective(Marginal.of(problem, parameters, context.choice, nodes))
 
 
-def check_starts(context: Context) -> None:
-    """Raises UserError (GB776) where the start of a state is not known: nothing in the likelihood can learn it."""
-    free = np.argwhere(context.start_free > 0)
+def check_starts(model: Model, trajectories: Trajectories, options: TrainOptions) -> None:
+    """Raises UserError (GB776) where the start of a state is not known in data of a model with a marginal likelihood:
+    nothing in that can learn it."""
+    if not model.marginal:
+        return
+    kept, _ = split(trajectories, options.holdout, options.seed)
+    learned = learned_starts(model, pack(kept, model, np.inf)) > 0
+    free = np.argwhere(learned & ~absent_states(model, kept.items))
     if not len(free):
         return
     trajectory, state = (int(i) for i in free[0])
-    name, label = context.model.states[state].name, context.trajectories.items[trajectory].label
+    name, label = model.states[state].name, kept.items[trajectory].label
     message = f"the start of `{name}` in trajectory `{label}` is neither given by the model nor measured"
     help_text = (
         f"write `initial {name} = …`, with a constant `learn {name}_0 = … per trajectory ~ lognormal` where it differs"
@@ -87,7 +95,6 @@ def check_starts(context: Context) -> None:
 
 def stages(context: Context, parameters: Parameters, regular: Callable[[Reached], LevenbergOptions]) -> list[Planned]:
     """The stages of a population, in order."""
-    check_starts(context)
     effort = context.options.effort
     pooled = pooled_parameters(parameters)
     likelihoods = _Likelihoods(context, parameters)

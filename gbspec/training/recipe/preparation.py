@@ -19,12 +19,14 @@ from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, 
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.judging import FEW
 from gbspec.training.recipe.sized_networks import sized_networks
+from gbspec.training.recipe.solved_states import with_solved_states
 from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.recipe.weighing import first as first_weights
 from gbspec.training.stages import StageName
 from gbspec.training.starts import (
     Earlier,
     Eliminated,
+    Points,
     collocate,
     curve_kinds,
     earlier,
@@ -192,13 +194,13 @@ LAGS = 6
 """So many values of the learned constants in delays are tried, spread over their bounds."""
 
 
-def _eliminated(context: Context, start: Array) -> Eliminated:
+def _eliminated(context: Context, points: Points, start: Array) -> Eliminated:
     """Constants and free outputs from the slopes of the curves.
 
     Slopes have several best delays, of which the nearest one is found. Where all forms are known, delays are therefore
     also started from other values, and the result whose balances agree best is taken.
     """
-    model, module, points = context.model, context.module, context.points
+    model, module = context.model, context.module
     first = eliminate(model, module, points, start)
     in_delays = {s for delay in model.delays for s in delay.lag.free_symbols}
     lags = [i for i, k in enumerate(model.learnables) if k.symbol in in_delays]
@@ -239,7 +241,8 @@ def _scaled(context: Context, start: Array | None = None) -> tuple[Parameters, A
     }
     constants, unseen = start, dict[str, Mask]()
     if len(context.points):
-        eliminated = _eliminated(context, start)
+        natural = learnables.to_natural(torch.from_numpy(start)).numpy() if len(start) else start
+        eliminated = _eliminated(context, with_solved_states(context, natural), start)
         fixed = network_scales(model, eliminated)
         unseen = unseen_outputs(model, eliminated)
         if context.options.warm_start and np.isfinite(eliminated.constants).all():

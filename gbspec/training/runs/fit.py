@@ -38,6 +38,7 @@ from gbspec.training.recipe import (
     build_context,
     check_disturbed,
     check_limits,
+    check_starts,
     chosen_solver,
     plan,
     said_of_step,
@@ -127,6 +128,7 @@ class Fitting:
         self._remarks = [*check_limits(model, trajectories), *without_data(model, trajectories)]
         _check_data(model, trajectories, findings)
         findings.raise_if_failed()
+        check_starts(model, trajectories, options)
         module = load_module(model, METHODS[solver_of(options)])
         if options.scheduler is None:
             device_of(options.device)

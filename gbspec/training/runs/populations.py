@@ -381,6 +381,8 @@ def _objective(found: PopulationResult, objective: Objective) -> ObjectiveRecord
         if found.point.objective != found.point.minus2ll
         else ""
     )
+    if not objective.layout.distributed:  # nothing is integrated
+        return ObjectiveRecord(f"likelihood: -2 log likelihood{more}", finite(found.point.objective))
     return ObjectiveRecord(f"marginal likelihood: -2 log likelihood by {way}{more}", finite(found.point.objective))
 
 

@@ -55,8 +55,8 @@ SMALL, SMALL_LOG = 0.1, 0.01
 """A learned noise without an interval that is a larger part of the errors, or of log-normal values, is not at zero."""
 
 REMEDIES = (
-    "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
-    "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
+    "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, "
+    "ranges of unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
     "`--members 5`, or another model"
 )
 REMEDIES_OF_KNOWN_FORMS = (
@@ -71,7 +71,7 @@ def verdicts(
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
     leave more than half of the variance, or whose predictions one row ahead, of a model with disturbances, are worse;
     `bounded` are the constants that ended at bounds."""
-    remedies = REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
+    remedies = _lacked(REMEDIES, model) if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
     wider = _wider(bounded)
     if wider:
         remedies = remedies.replace("what may help: ", f"what may help: {wider}, ").replace("narrower bounds or ", "")
@@ -93,6 +93,17 @@ def verdicts(
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {remedies}")
     return out
+
+
+def _lacked(remedies: str, model: Model | None) -> str:
+    """Remedies without what the model has, or has no place for: ranges of its unmeasured states, narrower bounds."""
+    if model is None:
+        return remedies
+    measured = {channel.state for channel in model.channels}
+    ranges = [state.range for i, state in enumerate(model.states) if i not in measured]
+    if all(one is not None and one.bounded for one in ranges):
+        remedies = remedies.replace("ranges of unmeasured states, ", "")
+    return remedies if model.learnables else remedies.replace("narrower bounds, ", "")
 
 
 def _wider(bounded: Iterable[str]) -> str:
@@ -168,7 +179,7 @@ def above_stated(
     compared. A minimum that a `search` found several times is not called a bad one.
     """
     often = search is not None and search.times >= SEVERAL
-    why, helps = (_LACKS, _OTHER_MODEL) if often else (_BAD_OR_LACKS, _OTHER_MINIMUM)
+    why, helps = (_LACKS, _OTHER_MODEL) if often else (_BAD_OR_LACKS, _lacked(_OTHER_MINIMUM, model))
     out = []
     for channel in model.channels if not model.marginal else ():
         out += [
@@ -378,24 +389,26 @@ _OVERSTATED = "the likelihood takes them for independent nevertheless, so that i
 
 
 def unrested(
-    channels: Mapping[str, ChannelRecord], ended: str, functions: bool = True, bounded: bool = False
+    channels: Mapping[str, ChannelRecord], ended: str, model: Model | None = None, bounded: bool = False
 ) -> list[str]:
-    """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself); whether it
-    has unknown `functions`, and whether constants ended at bounds (`bounded`), which narrower ones would not help."""
+    """The same of a fit that gave no standard deviations, whose last stage `ended` so (empty: by itself); `bounded`:
+    whether constants ended at bounds, which narrower ones would not help."""
     found = autocorrelated(channels, VISIBLE)
     if not found and all(one.r2 is None or 1 - one.r2 <= VISIBLE for one in channels.values()):
         return []
-    narrower = "" if bounded else "narrower bounds, "
+    narrower = "" if bounded else _lacked("narrower bounds, ", model)
     if not found:
+        functions = model is None or bool(model.networks)
         return [
             f"constants {'and functions ' if functions else ''}have no intervals: the fit has not come to rest{ended}, "
             "or its equations are numerically singular. Its constants may be far from the best ones. What may help: "
             f"`--effort high`, another `--seed`, {narrower}or `--solver ros34pw2` where solutions change fast"
         ]
+    ranges = _lacked("ranges of unmeasured states, ", model)
     return [
         f"the residuals of {_listed(found, channels)} are autocorrelated, and the fit has not come to rest{ended}: "
         "they are errors of the fit or of the model, not noise of measurement, and constants have no intervals. What "
-        f"may help: `--effort high`, `--members 5`, {narrower}ranges of unmeasured states, or another model"
+        f"may help: `--effort high`, `--members 5`, {narrower}{ranges}or another model"
     ]
 
 

@@ -67,5 +67,4 @@ def _of_residuals(result: MemberResult, options: TrainOptions, model: Model | No
         most = most_iterations(stage.name, options.effort)
         if most > 1:
             ended = f" (`{stage.name}` ended after its {most} iterations)" if stage.iterations == most else ""
-    functions = model is None or bool(model.networks)
-    return [*far, *verdict.unrested(result.channels, ended, functions, bool(result.bounded))]
+    return [*far, *verdict.unrested(result.channels, ended, model, bool(result.bounded))]

@@ -46,6 +46,8 @@ class Points:
     scale: Array
     measurements: int
     past: Past | None = None
+    solved: Array | None = None
+    """The states [M, n_states] for arguments of unknown functions, where more is known of them than `x` has."""
 
     def __len__(self) -> int:
         return len(self.t)
@@ -53,7 +55,8 @@ class Points:
     def some(self, index: Integers) -> Points:
         """Some of the points."""
         columns = ("t", "x", "slope", "condition", "inputs", "trajectory")
-        return replace(self, **{name: getattr(self, name)[index] for name in columns})
+        solved = None if self.solved is None else self.solved[index]
+        return replace(self, solved=solved, **{name: getattr(self, name)[index] for name in columns})
 
 
 def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
@@ -182,10 +185,31 @@ def evaluate_rhs(
     model: Model, module: GeneratedModule, points: Points, constants: Tensor, networks: Networks
 ) -> Tensor:
     """Right-hand sides [M, n_states] at the points, with constants [M, n_constants]."""
+    out: Tensor = module.equations.rhs(torch_arithmetic(module), *_places(module, points, constants, networks))
+    return out
+
+
+def evaluate_elsewhere(
+    model: Model, module: GeneratedModule, points: Points, constants: Tensor, networks: Networks
+) -> None:
+    """Evaluates channels, and conditions, priorities and resets of events, as `evaluate_rhs` does balances, for the
+    arguments of the networks in them."""
+    equations = module.equations
+    used = [equations.observe, *([equations.guards, equations.happen] if model.events else [])]
+    if any(event.rank is not None for event in model.events):
+        used.append(equations.ranks)
+    places = _places(module, points, constants, networks)
+    for method in used:
+        method(torch_arithmetic(module), *places)
+
+
+def _places(
+    module: GeneratedModule, points: Points, constants: Tensor, networks: Networks
+) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, ...], Networks]:
+    """What equations are evaluated at: times, states, conditions, inputs (with delayed values), constants, networks."""
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     t, x = torch.from_numpy(points.t), torch.from_numpy(points.x)
     c, u = torch.from_numpy(points.condition), torch.from_numpy(points.inputs)
     if points.past is not None:
         u = torch.cat([u, points.past.late(module, t, points.trajectory, c, k, networks)], 1)
-    out: Tensor = module.equations.rhs(torch_arithmetic(module), t, x, c, u, k, networks)
-    return out
+    return t, x, c, u, k, networks

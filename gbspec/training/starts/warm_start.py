@@ -21,7 +21,7 @@ from gbspec.data import sobol
 from gbspec.ir import NN, Model, unknowns_in_equations
 from gbspec.training.optimise import AdamMoments, one_cycle, prior_sd
 from gbspec.training.problem import Bijections, Parameters, Weights
-from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
+from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_elsewhere, evaluate_rhs
 
 ELIMINATION_STEPS = 30
 REGRESSION_STEPS = 1000
@@ -41,7 +41,8 @@ class Eliminated:
     """Constants (trainable values [n_learnables]), and free outputs [M, Q] with the arguments of each application.
 
     `spread` are the arguments with states that have no curve spread over their declared ranges. `unseen` [Q]: outputs
-    in no balance of a state with a curve, whose size is a guess.
+    in no balance of a state with a curve, whose size is a guess. `elsewhere`, `elsewhere_spread`: the same arguments of
+    the applications in channels and events, whose outputs are not estimated.
     """
 
     constants: Array
@@ -49,6 +50,8 @@ class Eliminated:
     arguments: tuple[tuple[int, Array], ...]
     spread: tuple[tuple[int, Array], ...]
     unseen: Mask
+    elsewhere: tuple[tuple[int, Array], ...] = ()
+    elsewhere_spread: tuple[tuple[int, Array], ...] = ()
 
 
 def slope_mismatch(model: Model, module: GeneratedModule, points: Points, constants: Array) -> float:
@@ -159,6 +162,26 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
 
     Outputs that no comparable balance contains are estimated from all balances, with rough values of unmeasured states.
     """
+    found = _of_balances(model, module, points, start)
+    if not model.networks:
+        return found
+    at, spread = (_applied_elsewhere(model, module, some, found.constants) for some in (points, _spread(model, points)))
+    return replace(found, elsewhere=at, elsewhere_spread=spread)
+
+
+def _applied_elsewhere(
+    model: Model, module: GeneratedModule, points: Points, constants: Array
+) -> tuple[tuple[int, Array], ...]:
+    """The arguments of networks in channels and events, with neutral outputs."""
+    free = FreeOutputs(model, len(points))
+    with torch.no_grad():
+        k = _constants_at(model, torch.from_numpy(constants), len(points))
+        evaluate_elsewhere(model, module, points, k, free.functions())
+    return tuple(free.arguments)
+
+
+def _of_balances(model: Model, module: GeneratedModule, points: Points, start: Array) -> Eliminated:
+    """What balances tell, without applications elsewhere."""
     if unknowns_in_equations(model):
         return _as_declared(model, module, points, start)
     outputs = len(_free_outputs(model, module, points.some(np.arange(1)), start).neutral)
@@ -220,8 +243,8 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> Eliminated:
 
 
 def _spread(model: Model, points: Points) -> Points:
-    """The points with states that have no curve spread over their declared ranges."""
-    x, draws = points.x.copy(), sobol(len(points), len(model.states), 0)
+    """The points with states that have no curve spread over their declared ranges, or as solutions have them."""
+    x, draws = (points.x if points.solved is None else points.solved).copy(), sobol(len(points), len(model.states), 0)
     for i, state in enumerate(model.states):
         if i not in points.rough and state.range is not None and state.range.bounded:
             x[:, i] = state.range.low + (state.range.high - state.range.low) * draws[:, i]
@@ -298,50 +321,67 @@ def unseen_outputs(model: Model, eliminated: Eliminated) -> dict[str, Mask]:
 
 def network_scales(model: Model, eliminated: Eliminated) -> Weights:
     """Step 2: input and output scales of every network, and the range that its inputs cover."""
+    inputs, outputs = _applications(model, eliminated)
     out: Weights = {}
-    position = 0
-    seen: dict[int, list[tuple[Array, Array]]] = {}
-    for (which, known), (_, spread) in zip(eliminated.arguments, eliminated.spread, strict=True):
-        # Where states without curves matter, nothing but their declared ranges tells the size of an argument.
-        ranges = [a.range for a in model.networks[which].arguments]
-        given = np.array([bounds is not None and bounds.bounded for bounds in ranges], dtype=bool)
-        arguments = np.where(given | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
-        for i, bounds in enumerate(ranges):
-            guess = known[..., i]  # of a state that nothing measures: it may lie beyond the argument's own range
-            if bounds is None or not bounds.bounded or np.ptp(guess) > 0 or np.ptp(spread[..., i]) == 0:
-                continue
-            if not bounds.low <= guess.flat[0] <= bounds.high:
-                arguments[..., i] = np.linspace(bounds.low, bounds.high, len(known))[:, None]
-        width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
-        columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
-        seen.setdefault(which, []).append(
-            (arguments.reshape(-1, n_arguments), columns.swapaxes(1, 2).reshape(-1, width))
-        )
-        position += width * each
     for index, network in enumerate(model.networks):
-        name = network.name
-        applications = seen.get(index, [])
-        arguments = (
-            np.concatenate([a for a, _ in applications]) if applications else np.zeros((0, len(network.arguments)))
-        )
+        prefix = f"network.{network.name}."
+        arguments = inputs.get(index, np.zeros((0, len(network.arguments))))
         arguments = arguments[np.isfinite(arguments).all(axis=1)]
-        outputs = np.concatenate([o for _, o in applications]) if applications else np.zeros((0, len(network.outputs)))
         ranges = [argument.range for argument in network.arguments]
         low, high, center, scale = (np.zeros(len(ranges)) for _ in range(4))
         for i, bounds in enumerate(ranges):
             column = arguments[:, i]
             declared = (bounds.low, bounds.high) if bounds is not None and bounds.bounded else (-1.0, 1.0)
             varies = len(column) > 1 and float(column.std()) > 1e-9 * max(float(np.abs(column).max()), 1e-300)
-            low[i], high[i] = (column.min(), column.max()) if len(column) else declared
+            at_guess = not varies and bounds is not None and bounds.bounded  # a guess covers nothing
+            low[i], high[i] = (column.min(), column.max()) if len(column) and not at_guess else declared
             center[i] = column.mean() if len(column) else (declared[0] + declared[1]) / 2
             scale[i] = column.std() if varies else max((declared[1] - declared[0]) / np.sqrt(12), 1e-12)
             if i in network.cyclic:  # the network gets a cosine in its place
                 center[i], scale[i] = 0.0, np.sqrt(0.5)
-        out |= {f"network.{name}.input_center": center, f"network.{name}.input_scale": scale}
-        out |= {f"network.{name}.input_low": low, f"network.{name}.input_high": high}
-        center_out, scale_out = _output_scale(model, index, outputs)
-        out |= {f"network.{name}.output_center": center_out, f"network.{name}.output_scale": scale_out}
+        out |= {f"{prefix}input_center": center, f"{prefix}input_scale": scale}
+        out |= {f"{prefix}input_low": low, f"{prefix}input_high": high}
+        known = outputs.get(index, np.zeros((0, len(network.outputs))))
+        center_out, scale_out = _output_scale(model, index, known)
+        out |= {f"{prefix}output_center": center_out, f"{prefix}output_scale": scale_out}
     return out
+
+
+def _applications(model: Model, eliminated: Eliminated) -> tuple[dict[int, Array], dict[int, Array]]:
+    """The arguments [K, n_arguments] that are known of each network, and the free outputs [K, n_outputs]."""
+    inputs: dict[int, list[Array]] = {}
+    outputs: dict[int, list[Array]] = {}
+    position = 0
+    for (which, known), (_, spread) in zip(eliminated.arguments, eliminated.spread, strict=True):
+        arguments = _covered(model, which, known, spread)
+        width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
+        columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
+        inputs.setdefault(which, []).append(arguments.reshape(-1, n_arguments))
+        outputs.setdefault(which, []).append(columns.swapaxes(1, 2).reshape(-1, width))
+        position += width * each
+    for (which, known), (_, spread) in zip(eliminated.elsewhere, eliminated.elsewhere_spread, strict=True):
+        found = _covered(model, which, known, spread, whole=True)
+        found = found.reshape(-1, found.shape[-1])
+        if not any(np.array_equal(found, other) for other in inputs.get(which, [])):  # as in `observe rate = mu(S)`
+            inputs.setdefault(which, []).append(found)
+    joined = ({which: np.concatenate(parts) for which, parts in found.items()} for found in (inputs, outputs))
+    return next(joined), next(joined)
+
+
+def _covered(model: Model, which: int, known: Array, spread: Array, whole: bool = False) -> Array:
+    """The arguments of one application [M, E, n_arguments]: as known, or where nothing but the declared ranges of
+    states without curves tells their size, those of such states. An argument with a range of its own covers this one,
+    instead of a guess: with `whole` always, else where the guess lies beyond it."""
+    ranges = [a.range for a in model.networks[which].arguments]
+    given = np.array([bounds is not None and bounds.bounded for bounds in ranges], dtype=bool)
+    arguments = np.where(given | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
+    for i, bounds in enumerate(ranges):
+        guess = known[..., i]  # of a state that nothing measures: it may lie beyond the argument's own range
+        if bounds is None or not bounds.bounded or np.ptp(guess) > 0 or np.ptp(spread[..., i]) == 0:
+            continue
+        if whole or not bounds.low <= guess.flat[0] <= bounds.high:
+            arguments[..., i] = np.linspace(bounds.low, bounds.high, len(known))[:, None]
+    return arguments
 
 
 def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
