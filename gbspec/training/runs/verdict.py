@@ -262,8 +262,7 @@ def widening(channels: Mapping[str, ChannelRecord]) -> float:
 
     A fraction of the values counts (see `share_that_counts`), and standard deviations are larger by the root of its
     inverse. That is so wherever a correlation is beyond chance, also where it is too small for a warning. Channels that
-    were weighed by this share have such intervals already. The factor is that of a mean under least squares; intervals
-    of a likelihood of innovations, among them those of sizes, are its own (`interval_factor`).
+    were weighed by this share have such intervals already. The factor is that of a mean under least squares.
     """
     left = [channels[name] for name in autocorrelated(channels, above=0.0) if (channels[name].share or 1.0) == 1.0]
     shares = [share_that_counts(one.autocorrelation or 0.0, _length(one)) for one in left]
