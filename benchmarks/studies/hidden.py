@@ -234,8 +234,8 @@ def table(rows: Sequence[Row]) -> str:
         others = [f"{row['seed']}: {_along(row):.2f}, {_loss(row):.4g}" for row in own if _along(row) > WITHIN]
         within = f"{len(own) - len(others)} | {'; '.join(others) or '-'} | {max(_loss(row) for row in own):.3g}"
         lines.append(f"| {name} | {100 * noise:g} % | {len(own)} | {r2:.6f} | {naive:.3f} | {shown} | {rhs:.2g} | "
-                     f"{statistics.median(along):.2f}, {max(along):.2f} | {within} | {fresh:.6f} | "
-                     f"{statistics.median(ratios):.2f}, {max(ratios):.2f} | {seconds:.0f} |")  # fmt: skip
+                     f"{statistics.median(along):.2f}, {max(along):.2f} | {within} | {_short(fresh)} | "
+                     f"{statistics.median(ratios):.2f}, {_short(max(ratios), 2)} | {seconds:.0f} |")  # fmt: skip
     return "\n".join([*lines, "", _verdict(rows)]) + "\n"
 
 
@@ -261,6 +261,11 @@ def _along(row: Row) -> float:
 def _loss(row: Row) -> float:
     """The loss over that of the fit from the truth."""
     return float(row["loss"]) / float(row["loss_reference"])
+
+
+def _short(number: float, decimals: int = 6) -> str:
+    """A number with some decimals; where a solution has blown up its order of magnitude."""
+    return f"{number:.{decimals}f}" if abs(number) < 1e3 else f"{number:.0e}"
 
 
 def _error(r2: str | float) -> float:
