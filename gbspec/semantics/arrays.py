@@ -193,7 +193,7 @@ class _Expansion:
                 f"`{name.text}` is not an array" if known else f"no array is named `{name.text}`",
                 name.span,
                 labels=[Label(self._declared[name.text].span, "declared here")] if known else [],
-                help=f"declare it with its indices: `state {name.text}[1..10]`",
+                help=f"declare it with its indices: `state {name.text}[1..10]`; a unit is written after `:`",
             )
         self._unsure.add(name.text)
 

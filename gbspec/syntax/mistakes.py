@@ -336,7 +336,14 @@ def _fields(slip: Slip) -> dict[str, str]:
         "open": opener,
         "close": _BRACKETS[opener],
         **slip.groups,
+        "product": _product(slip.groups.get("unit", "")),
     }
+
+
+def _product(unit: str) -> str:
+    """A unit as it is written here: `kg m^-3` as `kg*m^-3`, `mol L-1` as `mol*L^-1`."""
+    powers = re.sub(r"(?<=[^\W\d_])(-?\d+)\b", r"^\1", unit)
+    return re.sub(r"(?<=[\w)])\s+(?=[\w(])", "*", powers)
 
 
 def _place(at: str, slip: Slip) -> Span:

@@ -160,24 +160,31 @@ class Pooled:
         return out
 
     def _noises(self, pooled: Array) -> dict[str, float]:
-        """First values of noises, and of sizes of counts, that are one learned number, from the residuals of the pooled
-        fit."""
+        """First values of noises, and of sizes of counts, that are one learned number, from the predictions of the
+        pooled fit."""
         model, problem = self.parameters.model, self.engine.problem
-        found: dict[str, float] = {}
         predictions = predicted(self.engine, pooled).mean
         residuals = residuals_of(problem, predictions)
         names = {k.name for k in self.layout.each}
+        found = self._sizes(predictions, names)
         for i, channel in enumerate(model.channels):
+            value = channel.noise.value if channel.noise is not None else None
             rows = problem.valued[:, i]
-            if channel.noise is None or not rows.any():
-                continue
-            shape, value = channel.noise.shape, channel.noise.value
-            if shape is not None and shape.is_Symbol and shape.name in names and counted_channels(model)[i]:
-                number = problem.packed.weights[rows, i] ** 2
-                found[shape.name] = likeliest_size(problem.packed.values[rows, i], predictions[rows, i], number)
-            if value is None or not value.is_Symbol or value.name not in names:
+            if value is None or not value.is_Symbol or value.name not in names or not rows.any():
                 continue
             size = float(np.sqrt(np.mean(residuals[rows, i] ** 2))) * float(problem.scaling.channel[i])
             if np.isfinite(size) and size > 0:
                 found[value.name] = OF_RESIDUALS * size
+        return found
+
+    def _sizes(self, predictions: Array, names: set[str]) -> dict[str, float]:
+        """The likeliest sizes of counts with the expectations `predictions` [R, C], of all channels that share one."""
+        model, problem, found = self.parameters.model, self.engine.problem, dict[str, float]()
+        shapes = [channel.noise.shape if channel.noise is not None else None for channel in model.channels]
+        of_counts = [shape.name if shape is not None and shape.is_Symbol else "" for shape in shapes]
+        for name in names & {name for name, one in zip(of_counts, counted_channels(model), strict=True) if one}:
+            rows = problem.valued & np.array([one == name for one in of_counts])
+            if rows.any():
+                number = problem.packed.weights[rows] ** 2
+                found[name] = likeliest_size(problem.packed.values[rows], predictions[rows], number)
         return found

@@ -32,11 +32,10 @@ def unmeasured(model: Model) -> bool:
     return not set(range(len(model.states))) <= {channel.state for channel in model.channels}
 
 
-def largest_error(engine: Engine, theta: Array) -> float:
-    """The root mean square residual at a vector, of the channel in which it is largest."""
+def channel_errors(engine: Engine, theta: Array) -> Array:
+    """The root mean square residual of each channel [C] at a vector; infinite where one is not finite."""
     table, seen = noise_table(engine, theta), engine.problem.seen
-    losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
-    return float(np.sqrt(2 * max(losses, default=0.0))) if np.isfinite(losses).all() else float("inf")
+    return np.array([np.sqrt(2 * mean_loss(table[seen[:, i], i])) for i in range(table.shape[1])])
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Judged:
         initial states that are fitted to the first rows of whole solutions."""
         engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
         theta = refit_starts(engine, reached.theta, self.context.seed) if refitted else reached.theta
-        return largest_error(engine, theta)
+        return float(channel_errors(engine, theta).max(initial=0.0))
 
     def astray(self, reached: Reached) -> bool:
         """Whether whole solutions are so far from the data that segments are needed to find them.

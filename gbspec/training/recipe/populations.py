@@ -11,7 +11,7 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories, absent_states
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
-from gbspec.training.engines import Engine, explain_failure, residual_vector
+from gbspec.training.engines import Engine, explain_failure
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, OtherMaxima, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.population import (
@@ -30,12 +30,12 @@ from gbspec.training.population import (
     pooled_vector,
     values_of,
 )
-from gbspec.training.problem import Parameters, mean_loss, pack
+from gbspec.training.problem import Parameters, pack
 from gbspec.training.recipe.context import Context, learned_starts, split
 from gbspec.training.recipe.cutting import only_in_jumps
 from gbspec.training.recipe.finer import HALVINGS
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, other_weights
-from gbspec.training.recipe.judging import ASTRAY, largest_error
+from gbspec.training.recipe.judging import ASTRAY, FEW, LOST, channel_errors
 from gbspec.training.recipe.planned import Planned, Reached, step_fraction
 from gbspec.training.recipe.rivals import JudgedSearch
 from gbspec.training.recipe.segments import horizons
@@ -50,10 +50,9 @@ MOVES = 0.2
 """It asks for one that would move a parameter by more than this many of its standard deviations."""
 SHOWS, SHOWS_WITH_NETWORKS = 0.02, 0.5
 """The step is halved where that changes -2 log likelihood by more than this."""
-
-
 TWICE = 2.0
-"""Whole solutions of counts follow the data with residuals of at most so many standard deviations of their noise."""
+"""Whole solutions follow counts with residuals of at most so many standard deviations of their noise, as the declared
+size has it."""
 _POOLED_FITS = StageName.POOLED, StageName.POOLED_AGAIN
 
 
@@ -139,25 +138,34 @@ def _segments(context: Context, parameters: Parameters) -> Planned:
     from the data: from the vectors of these, and from other random weights."""
     pooled = pooled_parameters(parameters)
     engine, parts = context.engine(pooled, 0.0), len(horizons(context))
-    effort, enough = context.options.effort, _noise_of_counts(engine)
+    effort = context.options.effort
     most = len(_POOLED_FITS) + ATTEMPTS[effort]
 
     def reached_by(reached: Reached) -> list[Array]:
-        marks = reached.marks
-        return [pooled_vector(parameters, pooled, marks[name]) for name in _POOLED_FITS if name in marks]
+        marks = [reached.marks[name] for name in _POOLED_FITS if name in reached.marks] or [reached.theta]
+        return [pooled_vector(parameters, pooled, mark) for mark in marks]
 
     def astray(reached: Reached) -> bool:
-        if enough is None:
-            return all(largest_error(engine, vector) > ASTRAY for vector in reached_by(reached))
-        return all(mean_loss(residual_vector(engine, vector)) > enough for vector in reached_by(reached))
+        return all(_far(engine, vector) for vector in reached_by(reached))
 
     def make(reached: Reached) -> Stage:
         declared = pooled.vector(context.module.weights)
         others = [other_weights(context, pooled, declared, number + 1) for number in range(ATTEMPTS[effort])]
+        enough = _noise_of_counts(engine)
         growing = GrowingHorizons(context, pooled, [*reached_by(reached), *others], effort, enough=enough)
         return Pooled(growing, engine, parameters)
 
     return Planned(StageName.HORIZONS, parts * most, make, astray, lambda reached: parts > 0)
+
+
+def _far(engine: Engine, vector: Array) -> bool:
+    """Whether whole solutions are far from the data in a channel: of counts by `TWICE` their noise, of others by a part
+    of their deviation, which with few values only errors larger than all of it are, since segments follow noise."""
+    problem, errors = engine.problem, channel_errors(engine, vector)
+    counts = np.zeros(len(errors), dtype=bool) if problem.scaling.sizes is None else problem.scaling.sizes > 0
+    limit = ASTRAY if np.count_nonzero(problem.seen) >= FEW else LOST
+    limits = np.where(counts, TWICE / problem.scaling.row_scale.max(axis=0, initial=0.0), limit)
+    return bool((~(errors <= limits)).any())
 
 
 def _noise_of_counts(engine: Engine) -> float | None:

@@ -223,7 +223,9 @@ class _Runner:
             raise error
         if position.iteration:  # what blew up on the way is no better a start than the one before
             position.theta = position.entry
-        said = f"the stage `{planned.name}` failed: {error.what}; segments of the trajectories are tried instead"
+        segments = self.plan[position.stage + 1].name is StageName.HORIZONS
+        instead = "segments of the trajectories are tried instead" if segments else "the next one begins where it began"
+        said = f"the stage `{planned.name}` failed: {error.what}; {instead}"
         self.progress.message(f"member {self.member}: {said}")
         return said
 

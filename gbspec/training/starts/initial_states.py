@@ -29,7 +29,8 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
     """The vector with improved initial states: no trajectory's own loss over its first rows increases.
 
     `radius` is the size of the box of candidates in units of the states' standard deviations. Starts of states that no
-    channel measures stay in their declared ranges: the data may say next to nothing of them while functions are wrong.
+    channel shows alone stay in their declared ranges, where they are in them: the data may say next to nothing of such
+    states while functions are wrong.
     """
     parameters = engine.parameters
     if not parameters.start_free.any():
@@ -62,8 +63,9 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
 
 def _ranges(model: Model, starts: Array) -> tuple[Array, Array]:
     """The least and largest initial states [N, n_states] that are tried: present ones are always among them."""
-    measured = {channel.state for channel in model.channels}
-    ranges = [Range() if i in measured else state.range or Range() for i, state in enumerate(model.states)]
+    states = {state.symbol for state in model.states}
+    shown = [value.free_symbols & states for value in model.inlined([channel.value for channel in model.channels])]
+    ranges = [Range() if {state.symbol} in shown else state.range or Range() for state in model.states]
     low, high = (np.array(ends) for ends in zip(*((each.low, each.high) for each in ranges), strict=True))
     return np.minimum(low, starts), np.maximum(high, starts)
 
