@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.analysis.validation.metrics import channel_errors
 from gbspec.arrays import Array
-from gbspec.ir import on_error_scales
+from gbspec.ir import OF_COUNTS, OF_LOGARITHMS, on_error_scales
 
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
@@ -51,11 +51,14 @@ def said_of_single_rows(
         rest = channel_errors(measured[:, j], without, scales[j])
         unit = f" {channel.unit}" if channel.unit else ""
         ahead = {"1": "1 row ahead", "all": "from the start alone"}.get(steps, f"{steps} rows ahead")
+        of = OF_LOGARITHMS if scales[j].logarithms else OF_COUNTS if scales[j].size is not None else ""
+        error = f"nrmse is {rest.nrmse:.4g}" if of else f"rmse is {rest.rmse:.4g}"
         out.append(
-            f"one row has {100 * squares[row, j] / total:.3g} % of the squared errors of `{channel.name}` {ahead}: "
+            f"one row has {100 * squares[row, j] / total:.3g} % of the squared errors of `{channel.name}` {ahead}"
+            f"{f' ({of})' if of else ''}: "
             f"{run.model.time.name} = {time:.6g}, measured row {number} of trajectory `{item.label}` (measured "
             f"{measured[row, j]:.4g}{unit}, predicted {found[row, j]:.4g}{unit}){_wide(spreads, row, j, counted)}. "
-            f"Without it rmse is {rest.rmse:.4g}"
+            f"Without it {error}"
         )
     return out
 

@@ -26,12 +26,15 @@ SHARE = 0.02
 
 def solved_states(model: Model, covered: Mask) -> Mask:
     """The states [n_states] without a curve (`covered`) and a declared range that arguments of unknown functions
-    contain, and whose balances contain no such function, nor another state that neither a curve nor a balance shows."""
+    contain, and whose balances and resets contain no such function, nor another state that neither a curve nor a
+    balance shows."""
     hidden = ~covered
     if not model.networks or model.diffusions or unknowns_in_equations(model):
         return np.zeros_like(hidden)
     symbols = [state.symbol for state in model.states]
-    learned = np.array([balance.has(AppliedUndef) for balance in model.inlined(model.balances)], dtype=np.bool_)
+    set_by = {name for e in model.events for name, value in e.values if model.inlined([value])[0].has(AppliedUndef)}
+    balances = zip(model.states, model.inlined(model.balances), strict=True)
+    learned = np.array([one.name in set_by or balance.has(AppliedUndef) for one, balance in balances], dtype=np.bool_)
     uses = [np.array([s in used for s in symbols], dtype=np.bool_) for used in used_by_balances(model)]
     known = hidden & ~learned
     while (

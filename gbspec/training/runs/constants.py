@@ -90,19 +90,12 @@ def inside_bounds(
 ) -> tuple[float, float] | None:
     """The interval of a constant, `half` its width in standard deviations: symmetrical on the scale on which it is
     trained, whose values all lie within the bounds; None for a constant at its bound, where this scale ends, and where
-    an end is too large for a number.
-
-    Between two bounds of one order of magnitude, one that would pass a bound in the constant's own unit ends there, and
-    is symmetrical in this unit otherwise: the scale of training, which is bent beside a bound, would keep that value
-    from it however near it is, and have the other end follow the other bound.
-    """
-    bounds, scale = learnable.range, Bijections.of((learnable,))
+    an end is too large for a number."""
+    scale = Bijections.of((learnable,))
     place = scale.from_natural(np.array([center]))
     slope = abs(float(scale.derivative(place)[0]))
     if not slope > 0:
         return None
-    if bounds.bounded and not bounds.logarithmic and half * sd > min(center - bounds.low, bounds.high - center):
-        return max(center - half * sd, bounds.low), min(center + half * sd, bounds.high)
     reach = half * sd / slope
     ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-reach, reach)]
     if not np.isfinite(ends).all():

@@ -33,6 +33,14 @@ Rise = Callable[[float], float]
 """By how much the deviance is higher with the constant held at a value, at least; minus infinity if not known."""
 
 
+def at_least(rise: float, promised: float, threshold: float) -> float:
+    """By how much the deviance is higher at least, where it is by `rise` and the next step of the refit promises a fall
+    by `promised`; minus infinity where that leaves open on which side of the threshold it is."""
+    least = rise - promised
+    known = np.isfinite(rise) and (least > threshold or rise <= threshold or promised <= threshold)
+    return least if known else -math.inf
+
+
 @dataclass(frozen=True)
 class Held:
     """A constant that the data hold: the values at which the fit is clearly worse."""
@@ -77,18 +85,21 @@ def _towards(learnable: Learnable, value: float, bound: float, way: float) -> fl
     return value + way * (bound - value)
 
 
-def supported(learnable: Learnable, value: float, rise: Rise, threshold: float) -> tuple[float, float]:
+def supported(learnable: Learnable, value: float, rise: Rise, threshold: float) -> tuple[float, float] | None:
     """The interval that the deviance leaves a constant: to where it reaches the threshold, or to a bound where it does
-    not on the way there."""
+    not on the way there; None where it is not known on a way on which it does not."""
     ends = []
     for bound in (learnable.range.low, learnable.range.high):
-        inner, end = (value, 0.0), bound
+        inner, end, known = (value, 0.0), bound, True
         for place in (_towards(learnable, value, bound, way) for way in WAYS):
             found = rise(place)
             if found > threshold:
-                end = crossing(inner, (place, found), rise, threshold)
+                end, known = crossing(inner, (place, found), rise, threshold), True
                 break
+            known = known and math.isfinite(found)
             inner = (place, found) if math.isfinite(found) else inner
+        if not known:
+            return None
         ends.append(end)
     return ends[0], ends[1]
 
@@ -175,10 +186,11 @@ class Deviance:
             moved[column] = Bijections.of((learnable,)).from_natural(np.array([value]))[0]
             rest = self._fit(moved, (column,))
             rest = beyond_jumps(self._fit, self.target.value, rest, column, passes, enough, low)
-            known = math.isfinite(rest.objective)
-            if not known:
+            rises, promised = (2 * part / self.variance for part in (rest.objective - self.least, rest.promised))
+            found = at_least(rises, promised, self.threshold)
+            if not math.isfinite(found):
                 self.unknown.add(learnable.name)
-            return 2 * (rest.objective - rest.promised - self.least) / self.variance if known else -math.inf
+            return found
 
         ways = FEW if self.target.parameters.n_weights else WAYS
         return held_by_data(learnable, estimate, rise, self.threshold, ways)

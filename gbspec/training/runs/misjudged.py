@@ -87,6 +87,8 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
                 lower[name] = (value, fall)
             if math.isfinite(objective_there):
                 passed[value] = point
+            else:
+                spent.add(name)
             return objective_there - found.point.objective
 
         return rise

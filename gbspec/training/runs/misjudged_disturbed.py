@@ -20,16 +20,20 @@ from gbspec.training.optimise import Likeliest, likeliest
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, filter_of, whole_vector
 from gbspec.training.runs.constants import half_width
-from gbspec.training.runs.deviance import Rise, supported
+from gbspec.training.runs.deviance import Rise, at_least, supported
 from gbspec.training.runs.misjudged import open_constants
 from gbspec.training.runs.summary import MemberResult
+
+MOST = 4
+"""So many constants of a fit are looked at: each takes up to a dozen fits with it held."""
 
 
 def with_likelihood(
     result: MemberResult, context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]
 ) -> list[str]:
     """Gives such constants of a fit with disturbances the intervals of the likelihood, where these are shorter; a
-    sentence for each. With unknown functions, whose weights are not refitted, they are `untested`."""
+    sentence for each. With unknown functions, whose weights are not refitted, they are `untested`, and so are those of
+    which the likelihood cannot be found on the way to a bound, or which would take too long."""
     model = context.model
     if not model.diffusions:
         return []
@@ -41,16 +45,21 @@ def with_likelihood(
     engine, out = filter_of(context, parameters), []
     best = likeliest(engine, whole_vector(context, engine, theta))
     threshold = half_width([result]) ** 2
-    for k in open_ones:
+    result.untested |= frozenset(k.name for k in open_ones[MOST:])
+    for k in open_ones[:MOST]:
         value = result.constants[k.name]
-        interval = supported(k, value, _rise_of(engine, best, k, shared.index(k), value), threshold)
-        if interval != (k.range.low, k.range.high):
+        interval = supported(k, value, _rise_of(engine, best, k, shared.index(k), value, threshold), threshold)
+        if interval is None:
+            result.untested |= {k.name}
+        elif interval != (k.range.low, k.range.high):
             result.intervals[k.name] = interval
             out.append(_sentence(k, interval))
     return out
 
 
-def _rise_of(engine: FilterEngine, best: Likeliest, learnable: Learnable, place: int, estimate: float) -> Rise:
+def _rise_of(
+    engine: FilterEngine, best: Likeliest, learnable: Learnable, place: int, estimate: float, threshold: float
+) -> Rise:
     """By how much -2 log likelihood is higher than at its maximum with a constant at values; refits begin at the last
     place on the same side of the estimate."""
     parameters, column = engine.parameters, engine.parameters.n_weights + place
@@ -62,10 +71,9 @@ def _rise_of(engine: FilterEngine, best: Likeliest, learnable: Learnable, place:
         vector = passed[min(between, key=lambda v: abs(v - value))].copy()
         vector[column] = maps.from_natural(np.array([value]))[0]
         point = likeliest(engine, vector, held=column)
-        if not math.isfinite(point.value):
-            return -math.inf
-        passed[value] = point.vector
-        return 2 * (point.value - point.promised - best.value)
+        if math.isfinite(point.value):
+            passed[value] = point.vector
+        return at_least(2 * (point.value - best.value), 2 * point.promised, threshold)
 
     return rise
 

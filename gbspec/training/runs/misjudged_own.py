@@ -40,7 +40,7 @@ def taken_own(result: MemberResult, deviance: Deviance, parameters: Parameters, 
     of the former."""
     tested = open_ones[: MOST_TOGETHER if parameters.n_shared else MOST]
     each = [(one, _held(one, deviance, parameters, _estimate(result, one))) for one in tested]
-    left = [one for one, found in each if found is None]
+    left = [one for one, found in each if found is None and one.learnable.name not in deviance.unknown]
     result.open_own |= frozenset((one.learnable.name, result.labels[one.trajectory]) for one in left)
     held = [(one, found) for one, found in each if found is not None]
     if not held:

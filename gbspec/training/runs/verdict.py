@@ -71,7 +71,7 @@ def verdicts(
     """A warning for each channel whose whole solutions are hardly better than the best naive predictor, or worse, or
     leave more than half of the variance, or whose predictions one row ahead, of a model with disturbances, are worse;
     `bounded` are the constants that ended at bounds."""
-    remedies = _lacked(REMEDIES, model) if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS
+    remedies = _lacked(REMEDIES if model is None or model.unknowns else REMEDIES_OF_KNOWN_FORMS, model)
     wider = _wider(bounded)
     if wider:
         remedies = remedies.replace("what may help: ", f"what may help: {wider}, ").replace("narrower bounds or ", "")
@@ -103,7 +103,8 @@ def _lacked(remedies: str, model: Model | None) -> str:
     ranges = [state.range for i, state in enumerate(model.states) if i not in measured]
     if all(one is not None and one.bounded for one in ranges):
         remedies = remedies.replace("ranges of unmeasured states, ", "")
-    return remedies if model.learnables else remedies.replace("narrower bounds, ", "")
+    bounds = "narrower bounds or starting values nearer to what is meant, ", "narrower bounds, "
+    return remedies if model.learnables else remedies.replace(bounds[0], "").replace(bounds[1], "")
 
 
 def _wider(bounded: Iterable[str]) -> str:
@@ -270,9 +271,8 @@ def widening(channels: Mapping[str, ChannelRecord]) -> float:
 
 
 def interval_factor(channels: Mapping[str, ChannelRecord], likelihood: LikelihoodRecord | None) -> float:
-    """`widening` of a fit of squares; 1 of one by the likelihood of innovations. What correlated innovations take from
-    its curvature differs between constants (from a size less than from a level, from those of other channels nothing),
-    and is said in words."""
+    """`widening` of a fit of squares; 1 of one by the likelihood of innovations, since what correlated ones take from
+    its curvature differs between constants (from a size less than from a level), and is said in words."""
     return widening(channels) if likelihood is None else 1.0
 
 
