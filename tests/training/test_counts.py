@@ -145,6 +145,21 @@ def test_the_likelihood_begins_with_the_size_that_the_pooled_fit_shows(tmp_path:
     assert begun == pytest.approx(run.fit.constants["k"].value, rel=0.3)
 
 
+def test_one_size_of_two_channels_begins_at_the_likeliest_of_both(tmp_path: Path) -> None:
+    decay(tmp_path, 3.0)
+    lines = (tmp_path / "data.csv").read_text().splitlines()
+    rows = [lines[0] + ",z", *(f"{line},{float(line.split(',')[2]) // 2}" for line in lines[1:])]
+    (tmp_path / "data.csv").write_text("\n".join(rows) + "\n")
+    second = 'observe z = x noise negative_binomial(k) as "z"\n'
+    head, observed = DECAY.split("observe y")
+    begun = []
+    for text in (DECAY + second, head + second + "observe y" + observed):
+        model, out = model_of(text, tmp_path), tmp_path / f"run{len(begun)}"
+        run = train(model, tables.read_data(tmp_path / "data.csv", model, Findings()), QUICK, out)
+        begun += [float(row["k"]) for row in run.history() if row["stage"] == "search"][-1:]
+    assert begun[0] == pytest.approx(begun[1], rel=1e-3)
+
+
 def test_residuals_and_draws_are_those_of_the_distribution() -> None:
     random = np.random.default_rng(1)
     for family, size in ((Poisson(), np.inf), (NegativeBinomial(), 3.0)):
