@@ -116,7 +116,8 @@ def test_predictions_that_are_negative_themselves_are_no_ends_of_noise(
 ) -> None:
     model = model_of("model m\nstate x in [0, 20]\nlearn k = 0.5 in [0.05, 5]\nx' = -k*x\nobserve x\n")
     low: Array = np.array([[-2.0], [-2.0], [7.0]])
-    (text,) = said_of_ends(model, [SimpleNamespace(failure="", mean=np.array(mean)[:, None], low=low)], [])
+    middle = np.array(mean)[:, None]
+    (text,) = said_of_ends(model, [SimpleNamespace(failure="", mean=middle, low=low, high=middle)], [])
     assert said in text
     assert ("lognormal" in text) == instead
 

@@ -56,7 +56,7 @@ class Shown:
 
     def __init__(self, mean: float) -> None:
         self.mean = np.array([[1.0, 1.0, 1.0, mean], [1.0, 1.0, 1.0, 140.0]])
-        self.low = self.mean - np.array([0.0, 0.0, 0.0, 60.0])
+        self.low, self.high = (self.mean + side * np.array([0.0, 0.0, 0.0, 60.0]) for side in (-1, 1))
 
 
 def test_negative_predictions_are_not_said_to_be_impossible() -> None:

@@ -223,7 +223,8 @@ class _Runner:
             raise error
         if position.iteration:  # what blew up on the way is no better a start than the one before
             position.theta = position.entry
-        segments = self.plan[position.stage + 1].name is StageName.HORIZONS
+        fits = (later.name for later in self.plan[position.stage + 1 :] if later.name not in NO_FITS)
+        segments = next(fits) is StageName.HORIZONS
         instead = "segments of the trajectories are tried instead" if segments else "the next one begins where it began"
         said = f"the stage `{planned.name}` failed: {error.what}; {instead}"
         self.progress.message(f"member {self.member}: {said}")
