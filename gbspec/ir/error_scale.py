@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.ir.counts import count_quantile, count_size, counted_channels
-from gbspec.ir.residual import logarithmic
+from gbspec.ir.residual import logarithmic, stabilised
 
 if TYPE_CHECKING:
     from gbspec.ir.model import Model
@@ -92,10 +92,7 @@ def on_error_scales(
 
 def _stabilised(counts: Array, size: float) -> Array:
     """T of counts [...]; what is below zero counts as zero."""
-    y = np.maximum(counts, 0.0)  # keeps NaN
-    if not np.isfinite(size):
-        return np.asarray(2 * np.sqrt(y), dtype=np.float64)
-    return np.asarray(2 * np.sqrt(size) * np.arcsinh(np.sqrt(y / size)), dtype=np.float64)
+    return np.asarray(stabilised(np.maximum(counts, 0.0), size), dtype=np.float64)  # keeps NaN
 
 
 def _expected(mean: Array, size: float, number: Array | float) -> Array:

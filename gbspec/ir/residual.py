@@ -66,7 +66,7 @@ def residuals(
     """
     difference = predicted - measured
     if sizes is not None:
-        found = _stabilised(predicted, sizes, xp) - _stabilised(measured, sizes, xp)
+        found = _continued(predicted, sizes, xp) - _continued(measured, sizes, xp)
         difference = xp.where(_like(predicted, sizes > 0, xp), found, difference)
     if logarithmic.any():
         logs = _like(predicted, logarithmic, xp)
@@ -103,12 +103,17 @@ def slopes(
     return out * censored.slopes(residuals(predicted, measured, factor, logarithmic, xp, sizes=sizes))
 
 
-def _stabilised(values: Value, sizes: NDArray[np.float64], xp: Arithmetic) -> Value:
-    """T of counts [..., C] of these sizes [C]."""
-    size, _ = _sizes(values, sizes, xp)
+def stabilised(counts: Value, size: Value, shift: float = 0.0, xp: Arithmetic = np) -> Value:
+    """T of counts [...], none of which is below zero, of a size (infinite: Poisson's), with what is added to them."""
     known = xp.where(xp.isfinite(size), size, 1.0)
-    root = xp.sqrt(xp.clip(values, 0.0, None) + COUNT_SHIFT)
-    found = 2 * xp.where(xp.isfinite(size), xp.sqrt(known) * xp.arcsinh(root / xp.sqrt(known)), root)
+    root = xp.sqrt(counts + shift)
+    return 2 * xp.where(xp.isfinite(size), xp.sqrt(known) * xp.arcsinh(root / xp.sqrt(known)), root)
+
+
+def _continued(values: Value, sizes: NDArray[np.float64], xp: Arithmetic) -> Value:
+    """T of values [..., C] of counts of these sizes [C], continued below zero."""
+    size, _ = _sizes(values, sizes, xp)
+    found = stabilised(xp.clip(values, 0.0, None), size, COUNT_SHIFT, xp)
     return found + xp.clip(values, None, 0.0) / xp.sqrt(COUNT_SHIFT * (1 + COUNT_SHIFT / size))
 
 
