@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ STEPS, NEAR = 4, 0.05
 """How often an end of an interval is interpolated, at most, and how near to the threshold, as a part of it, the
 deviance there is to be."""
 
+Passed = TypeVar("Passed")
 Rise = Callable[[float], float]
 """By how much the deviance is higher with the constant held at a value, at least; minus infinity if not known."""
 
@@ -52,6 +54,12 @@ class Held:
     def spread(self, half: float) -> float:
         """The standard deviation with which an interval, of `half` of them to either side, ends at these values."""
         return math.fsum(abs(value - self.estimate) for value in self.worse) / (len(self.worse) * half)
+
+
+def last_passed(passed: Mapping[float, Passed], value: float, estimate: float) -> Passed:
+    """What was found at the last value on the way from an estimate, which is among them, to a value."""
+    between = [v for v in passed if min(value, estimate) <= v <= max(value, estimate)]
+    return passed[min(between, key=lambda v: abs(v - value))]
 
 
 def held_by_data(

@@ -18,7 +18,7 @@ from gbspec.training.population import LOWER, Counted, Objective, Point, Populat
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, only_in_jumps
 from gbspec.training.runs.constants import EXACT, at_bounds, covers, half_width, inside_bounds
-from gbspec.training.runs.deviance import Deviance, Held, Rise, held_by_data
+from gbspec.training.runs.deviance import Deviance, Held, Rise, held_by_data, last_passed
 from gbspec.training.runs.misjudged_own import open_own, taken_own
 from gbspec.training.runs.summary import MemberResult
 
@@ -74,9 +74,7 @@ def misjudged_of_population(result: MemberResult, objective: Objective, found: P
         passed: dict[float, Point] = {float(known.value[place]): found.point}
 
         def rise(value: float) -> float:
-            middle = float(known.value[place])
-            between = [v for v in passed if min(value, middle) <= v <= max(value, middle)]
-            start = passed[min(between, key=lambda v: abs(v - value))]  # from the last place on the same side
+            start = last_passed(passed, value, float(known.value[place]))
             try:
                 objective_there, point = with_held(counted, found.point, found.ridge, place, value, start, threshold)
             except SpentError:

@@ -20,7 +20,7 @@ from gbspec.training.optimise import Likeliest, likeliest
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, filter_of, whole_vector
 from gbspec.training.runs.constants import half_width
-from gbspec.training.runs.deviance import Rise, at_least, supported
+from gbspec.training.runs.deviance import Rise, at_least, last_passed, supported
 from gbspec.training.runs.misjudged import open_constants
 from gbspec.training.runs.summary import MemberResult
 
@@ -67,8 +67,7 @@ def _rise_of(
     passed = {estimate: best.vector}
 
     def rise(value: float) -> float:
-        between = [v for v in passed if min(value, estimate) <= v <= max(value, estimate)]
-        vector = passed[min(between, key=lambda v: abs(v - value))].copy()
+        vector = last_passed(passed, value, estimate).copy()
         vector[column] = maps.from_natural(np.array([value]))[0]
         point = likeliest(engine, vector, held=column)
         if math.isfinite(point.value):
