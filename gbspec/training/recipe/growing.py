@@ -38,13 +38,13 @@ INNER = "segments."
 class GrowingHorizons:
     """Fits segments of growing length by least squares, from one starting vector after the other.
 
-    The next starting vector is tried where whole solutions do not follow the data (their loss is not below `enough`, by
-    default a multiple of that of the shortest segments); in some attempts large residuals
-    are limited in the first iterations with segments of each length, before least squares. Of the vectors reached with
-    segments of any length the one with the smallest product of two losses, neither of them limited, is kept: of the
-    shortest segments, and of whole solutions; where segments can only be beginnings, the one with the smallest loss of
-    whole solutions. Where noise alone separates solutions from the data, that is the last one; where the system itself
-    is disturbed, long segments distort the dynamics that short ones show.
+    The next starting vector is tried where whole solutions do not follow the data: their loss is not below `followed`,
+    by default a multiple of that of the shortest segments. In some attempts large residuals are limited in the first
+    iterations with segments of each length, before least squares. Of the vectors reached with segments of any length
+    the one with the smallest product of two losses, neither of them limited, is kept: of the shortest segments, and of
+    whole solutions; where segments can only be beginnings, the one with the smallest loss of whole solutions. Where
+    noise alone separates solutions from the data, that is the last one; where the system itself is disturbed, long
+    segments distort the dynamics that short ones show.
     """
 
     name = StageName.HORIZONS.value
@@ -56,11 +56,11 @@ class GrowingHorizons:
         starts: Sequence[Array],
         effort: Effort,
         growth: float = GROWTH,
-        enough: float | None = None,
+        followed: float | None = None,
     ) -> None:
         self.context, self.whole, self.starts = context, whole, list(starts)
         self.horizons = horizons(context, growth)
-        self.most, self.enough = ITERATIONS[effort], enough
+        self.most, self.followed = ITERATIONS[effort], followed
         self.limiting = self.most // 2
         self.total = self.most * len(self.horizons) * len(self.starts)
         self._made: dict[int, Segments] = {}
@@ -119,7 +119,7 @@ class GrowingHorizons:
     def _after_attempt(self, state: State, outcome: Outcome, enough: bool = False) -> Outcome:
         """Goes on to the next attempt, or ends."""
         loss, attempt = scalar(state, "loss"), int(scalar(state, "attempt")) + 1
-        followed = max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) if self.enough is None else self.enough
+        followed = max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) if self.followed is None else self.followed
         if enough or loss < followed or attempt >= len(self.starts):
             return Outcome({"theta": state["best"]}, loss, True, "" if np.isfinite(loss) else BLOWN_UP)
         return Outcome({**state, **self._attempt(attempt)}, loss, False)

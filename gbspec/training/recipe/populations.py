@@ -151,8 +151,8 @@ def _segments(context: Context, parameters: Parameters) -> Planned:
     def make(reached: Reached) -> Stage:
         declared = pooled.vector(context.module.weights)
         others = [other_weights(context, pooled, declared, number + 1) for number in range(ATTEMPTS[effort])]
-        enough = _noise_of_counts(engine)
-        growing = GrowingHorizons(context, pooled, [*reached_by(reached), *others], effort, enough=enough)
+        starts = [*reached_by(reached), *others]
+        growing = GrowingHorizons(context, pooled, starts, effort, followed=_noise_of_counts(engine))
         return Pooled(growing, engine, parameters)
 
     return Planned(StageName.HORIZONS, parts * most, make, astray, lambda reached: parts > 0)
