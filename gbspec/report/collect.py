@@ -223,8 +223,7 @@ def _given_value(condition: Condition, value: float) -> str:
 
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     """The residuals of whole solutions for the mean of the members, at every measurement, as the training objective has
-    them (with random disturbances it has innovations in place of these); of counts those on the scale of their
-    noise."""
+    them (with random disturbances it has innovations in place of these); of counts those by which a fit is judged."""
     model, data = fitted.model, fitted.data
     scales = fitted.scales
     times = np.concatenate([item.times for item in data.items])
