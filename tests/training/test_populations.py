@@ -13,11 +13,11 @@ from scipy.stats import norm
 
 from gbspec.backends import load_module
 from gbspec.data import Limits, Trajectories, shipped_model
-from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Model
 from gbspec.operations import comparing, models, tables
-from gbspec.training import TrainOptions, train, unbegun
+from gbspec.training import TrainOptions, train
 from gbspec.training.population import Layout, Marginal, Predictions
 from gbspec.training.population.predictions import _Graph
 from gbspec.training.recipe import build_context
@@ -323,29 +323,6 @@ def test_unseen_trajectories_are_drawn_and_start_from_the_median(tmp_path: Path)
     drawn = [subject.individuals.drawn(subject.evaluator, random, {}).constants[0] for _ in range(400)]
     assert np.mean(drawn) == pytest.approx(subject.evaluator.constants[0], abs=0.3)
     assert np.std(drawn) == pytest.approx(subject.individuals.factor[0, 0], rel=0.15)
-
-
-def test_an_unknown_start_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.recipe.context.fit_curves", lambda *_: pytest.fail("the data were prepared"))
-    model = model_of(LEVEL.replace("initial x = m\n", "state z\nz' = m\n"), tmp_path)
-    data = tables.read_data(table(tmp_path, np.ones((2, 3)), np.arange(3.0)), model, Findings())
-    with pytest.raises(UserError) as caught:
-        train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
-    assert [found.code for found in caught.value.diagnostics] == ["GB776"]
-    assert not (tmp_path / "run").exists()  # so that the corrected call is not refused
-
-
-def test_what_is_refused_before_anything_is_learned_leaves_no_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refused(*_: object) -> None:
-        raise UserError([Diagnostic("GB863", "there is no kernel", None)])
-
-    monkeypatch.setattr("gbspec.training.runs.fit.fit_jobs", refused)
-    model, data, _ = levels(tmp_path)
-    with pytest.raises(UserError):
-        train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
-    assert unbegun(tmp_path / "run")  # so that the corrected call is not refused
 
 
 @pytest.mark.parametrize(
